@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from activefail.risk.ida.simulations import campaign_under_records
     from activefail.run import Run
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "TABLE_1",

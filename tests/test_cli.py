@@ -694,7 +694,7 @@ def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder
 
 @pytest.mark.parametrize(
     "own",
-    ["campaign.toml", ".lock", "segments/000000000-000000004.h5", "state/more.csv", "sets", "simulations/x/o.csv"],
+    ["campaign.toml", "journal", "checkpoint.h5", "simulations/x/o.csv"],
 )
 def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Path, own: str) -> None:
     own_files = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -706,7 +706,7 @@ def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Pat
         ("--out", folder / own, ("predict", folder, *table_of)),
         ("--out", folder / own, ("simulate", *table_of)),
         ("--plot", folder.parent / "link.svg", ("simulate", *design())),
-        ("--animate", folder / "sets" / ".." / own, ("simulate", *design())),
+        ("--animate", folder / ".." / folder.name / own, ("simulate", *design())),
         ("--out", folder / own, ("report", folder)),
         ("--out", folder / own, ("run", tiny)),
         ("--out", folder / own, ("compare", tiny)),
@@ -1052,10 +1052,7 @@ def test_a_ctrl_c_ends_every_command_without_a_traceback(
     def struck(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    for place in ("activefail.record.recovery.read_segments", "activefail.findings.status.read_summary"):
-        module, _, name = place.rpartition(".")
-        monkeypatch.setattr(f"{module}.{name}", struck)
-    monkeypatch.setattr("activefail.record.run_folder.read_segments", struck)
+    monkeypatch.setattr("activefail.record.run_folder.FolderStore._load", struck)
     result = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
     assert result.code == 130
     assert result.err == "activefail: stopped; recorded simulations are safe\n"

@@ -5,6 +5,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commandline import activefail, refused
@@ -15,8 +16,9 @@ from activefail.errors import InputError
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
 from activefail.findings.probability import rounded_up, upper_bound
-from activefail.findings.status import read_status
+from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
+from activefail.record.run_folder import FolderStore
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}
@@ -171,9 +173,7 @@ def test_the_bound_is_that_of_clopper_and_pearson_and_never_rounded_down() -> No
 def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Path) -> None:
     file = begun(tmp_path, "plane")
     file.write_text(file.read_text().replace("budget = 60", "initial = 30\nbudget = 30"))
-    assert activefail("run", file, "--out", tmp_path / "run", "--budget", "30").code == 0
-    for segment in sorted((tmp_path / "run" / "segments").iterdir())[20:]:
-        segment.unlink()
+    assert activefail("run", file, "--out", tmp_path / "run", "--budget", "20").code == 0
     result = activefail("probability", tmp_path / "run", "--code", tmp_path)
     assert "has not finished its initial design; there is nothing to estimate yet" in result.err
     assert result.code == 2
@@ -181,8 +181,6 @@ def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Pa
 
 def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_path: Path) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
-    saved = tmp_path / "run" / "probability.json"
-    saved.unlink(missing_ok=True)
     result = activefail("status", tmp_path / "run")
     assert result.code == 0, result.err
     assert "learner    regression of the margin g on design features" in result.out
@@ -194,40 +192,31 @@ def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_
     assert "--ignore-stop" in result.out
     assert "estimate   probability 0.00" in result.out
     assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
-    numbers = json.loads(saved.read_text())["outcomes"]["failure"]
+    numbers = read_status(tmp_path / "run").estimates["failure"]
     second = activefail("status", tmp_path / "run").out.splitlines()[1]
     assert second.startswith(f"estimate   probability of failure {numbers['probability']:.3g}, 90 % interval ")
     assert "from 20 fresh simulations; recall at least " in second
     assert "contradict" not in second
-    text = json.loads(saved.read_text())
-    text["outcomes"]["failure"]["contradictions_where_sure"] = 2
-    saved.write_text(json.dumps(text))
+    remembered(tmp_path / "run", {**numbers, "contradictions_where_sure": 2})
     second = activefail("status", tmp_path / "run").out.splitlines()[1]
     assert second.endswith("; fresh simulations contradict the classifier where it was sure: continue the campaign")
 
 
-NUMBERS = (
-    '"probability": 1, "low": 0, "high": 1, "confidence": 0.9, "simulations": 5, "recall_low": 0, '
-    '"extrapolated": 0, "contradictions_where_sure": 0'
-)
+def remembered(folder: Path, estimate: Any) -> None:
+    """Put an estimate into a record, as the last one of its failure."""
+    with FolderStore.open(folder, write=True) as store:
+        store.remember(estimate_of("failure", store.digest), estimate)
+
+
+NUMBERS = {"probability": 1, "low": 0, "high": 1, "confidence": 0.9, "simulations": 5, "recall_low": 0}
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        *("", "[]", "{}", '{"record": 1}', "[" * 5000, '{"record": "RECORD", "outcomes": [1]}'),
-        '{"record": "RECORD", "outcomes": {"failure": {NUMBERS, "question": [1]}}}',
-        '{"record": "RECORD", "outcomes": {"failure": {"probability": NaN}}}',
-        '{"record": "RECORD", "outcomes": {"collapse": {NUMBERS}}}',
-    ],
+    "estimate", [None, [], {}, 3, {"probability": float("nan")}, NUMBERS, {**NUMBERS, "probability": [1]}]
 )
-def test_status_takes_no_estimate_from_a_file_that_the_command_did_not_write(
-    ended: Path, tmp_path: Path, text: str
-) -> None:
+def test_status_takes_no_estimate_that_the_command_did_not_write(ended: Path, tmp_path: Path, estimate: Any) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "run" / "probability.json").write_text(
-        text.replace("RECORD", read_status(tmp_path / "run").summary.digest).replace("NUMBERS", NUMBERS)
-    )
+    remembered(tmp_path / "run", estimate)
     result = activefail("status", tmp_path / "run")
     assert (result.code, result.err) == (0, "")
     assert "under the classifier" in result.out.splitlines()[1]
@@ -246,7 +235,7 @@ def test_an_estimate_of_fewer_simulations_is_not_shown_after_the_campaign_went_o
 def test_the_report_leads_with_the_probability_and_draws_the_failure_domain(ended: Path, tmp_path: Path) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
     assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
-    numbers = json.loads((tmp_path / "run" / "probability.json").read_text())["outcomes"]["failure"]
+    numbers = read_status(tmp_path / "run").estimates["failure"]
     assert activefail("report", tmp_path / "run").code == 0
     page = (tmp_path / "run" / "report.html").read_text()
     lead = page[page.index('aria-label="Summary"') : page.index('<section id="run"')]

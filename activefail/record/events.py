@@ -122,10 +122,9 @@ def unpack(data: bytes, at: int, before: str) -> Entry:
         kind, attributes, types = json.loads(data[found.end() : end])
         arrays = {}
         for name, dtype, shape, place in types:
-            size = math.prod(shape)
-            if min(place, size) < 0 or end + place + size * TYPES[dtype].itemsize > stop:
+            if min(place, *shape, 0) < 0 or end + place + math.prod(shape) * TYPES[dtype].itemsize > stop:
                 raise ValueError(name)
-            arrays[name] = np.frombuffer(data, TYPES[dtype], size, end + place).reshape(shape)
+            arrays[name] = np.ndarray(shape, TYPES[dtype], data, end + place)
         return Entry(Event(str(kind), dict(attributes), arrays), found[1].decode(), content, stop)
     except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError):
         raise DamagedError("has content that activefail never writes") from None

@@ -51,7 +51,7 @@ def check_run_folder(folder: Path) -> None:
     path = folder / SETTINGS
     refuse_links(folder)
     refuse_format_1(folder)
-    if not path.is_file():
+    if not os.path.isfile(path):
         reason = "it is a file" if folder.is_file() else f"it has no {SETTINGS}"
         raise InputError(f"{folder}: is not a run folder; {reason}.")
     if path.stat().st_size > LARGEST_SETTINGS:
@@ -60,7 +60,7 @@ def check_run_folder(folder: Path) -> None:
 
 def refuse_format_1(folder: Path) -> None:
     """Raise StoreError for a run folder of version 0.1, with the way over."""
-    if (folder / "segments").is_dir() and not (folder / JOURNAL).exists():
+    if os.path.isdir(folder / "segments") and not os.path.exists(folder / JOURNAL):
         raise StoreError(
             f"{folder} was written by activefail 0.1. Continue it with that version (`activefail resume`), or move its "
             "simulations to a new campaign: `activefail export` there, `activefail add` here."

@@ -344,7 +344,7 @@ class FolderStore(MemoryStore):
 def _settings_of(folder: Path) -> str:
     """The text of the frozen settings."""
     path, restore = folder / SETTINGS, ""
-    if (folder / JOURNAL).exists():
+    if os.path.exists(folder / JOURNAL):
         restore = " Restore it from a copy, or from the first entry of the journal."
     try:
         return read_regular(path, LARGEST_SETTINGS).decode()

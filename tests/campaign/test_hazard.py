@@ -21,6 +21,7 @@ from activefail.campaign.question_files import read_question
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
+from activefail.findings.status import read_status
 from activefail.reliability.estimate import Doubt, Plan
 from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
@@ -708,12 +709,12 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     said = " ".join(numbers["assumptions"])
     assert "no property bounds" in said
     assert ("Only the pulses are uncertain" in said) == (file == "rows.toml")
-    stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
+    stored = sets_of(learned / "run")
     by_hazard = [word if word != "--question" else "--hazard" for word in options]
     for words in (options, by_hazard):
         assert activefail("probability", learned / "run", *words).out == result.out
-        assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
-    assert not (learned / "run" / "probability.json").exists()
+        assert sets_of(learned / "run") == stored
+    assert read_status(learned / "run").estimates == {}
     both = activefail("probability", learned / "run", *options, "--hazard", learned / file)
     assert (both.code, both.out) == (2, "")
     assert "question: cannot be combined with hazard." in both.err
@@ -724,7 +725,12 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
         assert numbers["bound_without_model"]["high"] == pytest.approx(0.25)
         again = activefail("probability", learned / "run", *options, "--simulations", "200")
         assert json.loads(again.out)["outcomes"]["failure"]["simulations"] == 5
-        assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+        assert sets_of(learned / "run") == stored
+
+
+def sets_of(folder: Path) -> list[str]:
+    with package.open_run(folder) as run:
+        return run.store.set_names()
 
 
 def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_path: Path) -> None:

@@ -8,7 +8,16 @@ from campaign.stub import Counting, Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.comparison.static import Score, compare, default_budgets, recalls, score, score_lines, write_scores
+from activefail.comparison.static import (
+    Score,
+    compare,
+    default_budgets,
+    recalls,
+    remember_scores,
+    remembered_scores,
+    score,
+    score_lines,
+)
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import add
@@ -16,7 +25,6 @@ from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
-from activefail.report.evidence import read_scores
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
@@ -254,9 +262,8 @@ def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_
     with pytest.raises(InputError, match="between 2 and the 26 recorded simulations"):
         scores(campaign, store, [27], 60)
     assert not [line for line in score_lines(found[:1], "broken") if line.startswith("given: ")]
-    write_scores(found, ("safe", "broken"), 60, tmp_path / "scores.csv")
-    kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
-    assert [one.given for one in kept] == [one.given for one in found]
+    remember_scores(store, found, 60)
+    assert remembered_scores(store) == (found, 60 - found[0].test_designs)
 
 
 def test_static_designs_have_their_own_sizes_and_several_of_one_size_differ(
@@ -275,9 +282,8 @@ def test_static_designs_have_their_own_sizes_and_several_of_one_size_differ(
     with ThreadExecutor(2) as executor:
         assert compare(campaign, store, executor, [40], TEST, static=[40, 60], hypercubes=2) == found
     assert counting.rows == before + 40 + 2 * 60
-    write_scores(found, ("safe", "broken"), TEST, tmp_path / "scores.csv")
-    kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
-    assert [one.hypercube for one in kept] == [one.hypercube for one in found]
+    remember_scores(store, found, TEST)
+    assert remembered_scores(store) == (found, TEST - found[0].test_designs)
     (line,) = [
         line for line in score_lines(found, "broken") if line.split()[:2] == ["60", "static"] and "nan" not in line
     ][:1]

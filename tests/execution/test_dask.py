@@ -358,7 +358,7 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
     folder = tmp_path / "run"
     dask = ("--executor", "dask", "--scheduler", cluster.address)
     with started("run", tmp_path / "mine.toml", "--out", folder, *dask) as process:
-        until(lambda: (folder / "segments").is_dir() and len(list((folder / "segments").iterdir())) > 2)
+        until(lambda: (folder / "campaign.toml").exists() and len(record(folder)) > 2)
         cluster.scheduler.kill()
         cluster.scheduler.wait()
         cluster.begin()
@@ -410,7 +410,7 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
     with started("resume", folder, *dask, "--code", tmp_path) as process:
         hear(process, waiting)
         alone.add("one")
-        until(lambda: (folder / "segments").is_dir() and len(list((folder / "segments").iterdir())) > 1)
+        until(lambda: (folder / "campaign.toml").exists() and len(record(folder)) > 1)
         alone.workers["one"].kill()
         # Reported again, once.
         hear(process, waiting)

@@ -231,7 +231,6 @@ def test_no_text_of_a_run_folder_forges_a_line_of_the_program(tmp_path: Path, su
     (tmp_path / "designs.csv").write_text("x,y\n0.2,0.3\n")
     folder = tmp_path / "run"
     assert activefail("run", tmp_path / "campaign.toml", "--out", folder, "--workers", "1").code == 0
-    (folder / "segments" / f"x{FORGED.replace('/', '')}").touch()
     for words in commands(folder):
         if words[0] != "explore":
             result = activefail(*words)

@@ -221,8 +221,9 @@ def test_refused_any_system_call_it_stops_with_the_reason_or_goes_on_and_loses_n
             assert os.strerror(getattr(errno, error)) in victim.reports[-1], victim.reports[-1]
         if name == "fsync":
             # The kernel may have dropped the pages: a second fsync would succeed without them (Rebello et al. 2020).
-            assert code == 1
-            assert "(fsync)" in victim.reports[-1]
+            # The checkpoint that closing writes can be made again.
+            assert code == 1 or place == "closing 1"
+            assert code == 0 or "(fsync)" in victim.reports[-1]
             after = [line for line in lines[at + 1 :] if re.match(r"(fsync|rename)\(|write\(\d+, \"activefail", line)]
             assert after == []
         assert_nothing_lost(victim, folder, uninterrupted)

@@ -1,6 +1,5 @@
 """A search for rare failure, killed at random moments again and again: the same designs, results and states."""
 
-import re
 import signal
 import subprocess
 import time
@@ -44,9 +43,10 @@ def learned(folder: Path) -> dict[str, bytes]:
 
 
 def recorded(folder: Path) -> int:
-    names = [path.name for path in (folder / "segments").glob("*.h5")] if (folder / "segments").is_dir() else []
-    numbers = [re.fullmatch(r"\d+-(\d+)\.h5", name) for name in names]
-    return max((1 + int(match[1]) for match in numbers if match), default=0)
+    if not (folder / "campaign.toml").exists():
+        return 0
+    with FolderStore.open(folder, write=False) as store:
+        return sum(map(len, store.batches))
 
 
 def wait_for_more(process: subprocess.Popen[str], folder: Path, before: int) -> None:

@@ -666,14 +666,14 @@ def test_halted_within_the_seed_by_a_smaller_budget_and_resumed_a_campaign_goes_
 BEARING = "seed = 11\nsampling = { initial = 40, budget = 5000, batch = 5 }\n"
 
 
-def _kill_after(command: list[str], segments: Path, number: int, delay: float) -> None:
-    """Start a command and kill it -9 some time after there are so many segments, wherever it is by then."""
-    log = segments.parents[1] / f"killed-{number}.txt"
+def _kill_after(command: list[str], folder: Path, number: int, delay: float) -> None:
+    """Start a command and kill it -9 some time after there are so many batches, wherever it is by then."""
+    log = folder.parent / f"killed-{number}.txt"
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, "-m", "activefail.cli", *command], stdout=file, stderr=file)
     give_up = time.monotonic() + PATIENCE
     try:
-        while not segments.is_dir() or len(list(segments.glob("*.h5"))) < number:
+        while _batches(folder) < number:
             assert process.poll() is None, log.read_text()
             assert time.monotonic() < give_up, log.read_text()
             time.sleep(0.002)
@@ -683,14 +683,21 @@ def _kill_after(command: list[str], segments: Path, number: int, delay: float) -
     assert process.wait() == -signal.SIGKILL, log.read_text()
 
 
+def _batches(folder: Path) -> int:
+    if not (folder / "campaign.toml").exists():
+        return 0
+    with FolderStore.open(folder, write=False) as store:
+        return len(store.batches)
+
+
 @pytest.mark.faults
 def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
     (tmp_path / "bearing.toml").write_text(BEARING)
     folder = tmp_path / "run"
     delays = np.random.default_rng(time.time_ns()).uniform(0.0, 0.2, 2).tolist()
     begin = ["run", str(tmp_path / "bearing.toml"), "--out", str(folder), "--workers", "2"]
-    _kill_after(begin, folder / "segments", 2, delays[0] / 10.0)
-    _kill_after(["resume", str(folder), "--workers", "1"], folder / "segments", 9, delays[1])
+    _kill_after(begin, folder, 2, delays[0] / 10.0)
+    _kill_after(["resume", str(folder), "--workers", "1"], folder, 9, delays[1])
 
     campaign = Campaign.of(parse_settings(BEARING, "bearing"))
     with open_campaign(folder, write=True) as (reopened, store):

@@ -175,9 +175,8 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
         lambda text: text.replace('"D_tot": 0.', '"D_tot": 1.'),
         lambda text: text.replace('"confidence": 0.95', '"confidence": "high"'),
         lambda text: text.replace('"D_tot"', '"T_b"'),
-        lambda text: text[: len(text) // 2],
-        lambda _: "[" * 100_000,
-        lambda _: '{"designs": 3}',
+        lambda _: "3",
+        lambda _: "[null]",
     ],
 )
 def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: Path, change) -> None:
@@ -188,11 +187,11 @@ def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: P
         hazard = read_hazard(verified / "site.toml")
         _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
         with estimating(opened, simulates=False) as estimator:
-            assert len(stored_designs(estimator, folder, question, "D_tot", wanted)) == 1
-            assert not stored_designs(estimator, folder, question.at({"mu": 0.07}), "D_tot", wanted)
-            designs = folder / "designs.json"
-            designs.write_text(change(designs.read_text()))
-            assert not stored_designs(estimator, folder, question, "D_tot", wanted)
+            assert len(stored_designs(estimator, question, "D_tot", wanted)) == 1
+            assert not stored_designs(estimator, question.at({"mu": 0.07}), "D_tot", wanted)
+            entries = opened.store.recall(("verified designs",))
+            opened.store.recall = lambda identity: json.loads(change(json.dumps(entries)))
+            assert not stored_designs(estimator, question, "D_tot", wanted)
 
 
 def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
@@ -201,13 +200,13 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
         hazard = read_hazard(verified / "site.toml")
         with estimating(opened, simulates=False) as estimator:
             _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
-            found = risk_findings(estimator, verified / "run", hazard, question, asked)
+            found = risk_findings(estimator, hazard, question, asked)
             assert found.chart is not None
             assert found.chart.targets.tolist() == [0.2]
             assert found.options == "--hazard 'a site.toml' --target 0.2"
             assert found.designs == ()
             _, question = site_and_question(opened.campaign, hazard, None, {"mu": 0.06})
-            found = risk_findings(estimator, verified / "run", hazard, question, asked)
+            found = risk_findings(estimator, hazard, question, asked)
             assert found.chart is None
             assert "two variables besides D_tot" in found.why_no_chart
 

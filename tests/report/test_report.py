@@ -21,9 +21,7 @@ from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
-from activefail.comparison.static import Recall, Score
-from activefail.csv_table import writing
-from activefail.errors import InputError
+from activefail.comparison.static import Recall, Score, remember_scores, remembered_scores
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import curves, outcome_planes, samples, svg
@@ -34,6 +32,8 @@ from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer
 from activefail.parameter import Parameter
+from activefail.record.batch import Schema
+from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
 from activefail.surrogate.threads import one_thread
@@ -88,7 +88,7 @@ class Page(HTMLParser):
 def made(campaign: Campaign, folder: Path, store: FolderStore) -> str:
     with one_thread():
         classifier = current_classifier(campaign, store, write=False)
-        judged = evidence.evidence_of(folder, campaign, store, classifier)
+        judged = evidence.evidence_of(campaign, store, classifier)
         return page.render(findings_of(folder, campaign, store, classifier), judged, store)
 
 
@@ -194,7 +194,7 @@ def test_the_first_box_says_what_to_do_next(html, folder):
     assert step(html) == "activefail verify"
     with open_campaign(folder, write=False) as (campaign, store), one_thread():
         classifier = current_classifier(campaign, store, write=False)
-        found = evidence.evidence_of(folder, campaign, store, classifier)
+        found = evidence.evidence_of(campaign, store, classifier)
         findings = findings_of(folder, campaign, store, classifier)
         assert {"error", "curve"} <= set(found.missing)
         steps = []
@@ -207,32 +207,30 @@ def test_the_first_box_says_what_to_do_next(html, folder):
 @pytest.mark.usefixtures("without_pictures")
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
-    (copy / "compare").mkdir()
     written = [
         Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400),
         Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400),
         Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400),
     ]
-    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
-        write([[*score.row(), 0] for score in written])
-    with open_campaign(copy, write=False) as (campaign, store):
+    with open_campaign(copy, write=True) as (campaign, store):
+        remember_scores(store, written, 400)
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
     assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
     assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 simul" in Page(text).text
-    assert "recall of" not in Page(text).text  # an older program wrote none
     assert "adds the curve of static" not in text
-    (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
-    with open_campaign(copy, write=False) as (campaign, store):
-        text = made(campaign, copy, store)
-    assert "scores.csv: row 1: was not written by" in Page(text).text
+
+
+@pytest.mark.parametrize("saved", [3, [], {}, {"scores": [{"sampling": "active"}], "unanswered": 0}])
+def test_scores_that_no_comparison_wrote_are_none(saved):
+    store = MemoryStore(Schema(("x",), ("safe", "failure"), ("",), ()))
+    store.remember(("comparison",), saved)
+    assert remembered_scores(store) is None
 
 
 @pytest.mark.usefixtures("without_pictures")
 def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
-    (copy / "compare").mkdir()
-    outcomes = ("no_impact", "impact", "failure")
     active, static = (
         {"no_impact": Recall(1800, 1800), "impact": Recall(134, 134), "failure": Recall(hits, 66)} for hits in (64, 2)
     )
@@ -240,9 +238,8 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
         Score("active", 30, 0.9995, 0.9972, 0.9999, 0.999, -0.01, 2000, active),
         Score("static", 30, 0.968, 0.96, 0.975, 0.968, -0.1, 2000, static),
     ]
-    with writing(copy / "compare" / "scores.csv", [*Score.columns(), *Score.recall_columns(outcomes)]) as write:
-        write([score.row() for score in written])
-    with open_campaign(copy, write=False) as (campaign, store):
+    with open_campaign(copy, write=True) as (campaign, store):
+        remember_scores(store, written, 2000)
         parsed = Page(made(campaign, copy, store))
     assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in parsed.text
     after = parsed.text.partition("recall of failure")[2]
@@ -250,35 +247,6 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
     after = parsed.text.partition("recall of failure, static design")[2]
     assert after.startswith("3.0 % (2 of 66; 0.4 to 10.5 %)")
     assert parsed.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
-
-
-@pytest.mark.parametrize(
-    ("column", "value"),
-    [
-        ("recalled_failure", "70"),
-        ("recalled_failure", "-7"),
-        ("test_failure", str(10**30)),
-        ("simulations", "1" + 400 * "0"),
-        ("accuracy", "nan"),
-        ("low", "0.99"),
-        ("sampling", "<b>"),
-        ("log_score", "inf"),
-    ],
-)
-def test_scores_that_no_comparison_could_have_had_are_refused_by_row(tmp_path, column, value):
-    outcomes = ("no_impact", "impact", "failure")
-    recall = dict.fromkeys(outcomes, Recall(10, 20))
-    good = Score("active", 30, 0.9, 0.8, 0.95, 0.7, -0.4, 60, recall)
-    columns = [*Score.columns(), *Score.recall_columns(outcomes)]
-    path = tmp_path / "scores.csv"
-    with writing(path, columns) as write:
-        write([good.row()])
-    assert evidence.read_scores(path, outcomes) == ([good], 0)
-    spoilt = [value if name == column else cell for name, cell in zip(columns, good.row(), strict=True)]
-    with writing(path, columns) as write:
-        write([spoilt])
-    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
-        evidence.read_scores(path, outcomes)
 
 
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
@@ -519,11 +487,9 @@ def test_powers_in_units_are_raised():
 @pytest.mark.usefixtures("without_pictures")
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
-    (copy / "compare").mkdir()
     written = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
-    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
-        write([[*score.row(), 12] for score in written])
-    with open_campaign(copy, write=False) as (campaign, store):
+    with open_campaign(copy, write=True) as (campaign, store):
+        remember_scores(store, written, 400)
         parsed = Page(made(campaign, copy, store))
     run = f"activefail run campaign.toml --out {copy}"
     assert f"{run}\nactivefail compare {copy} --budgets 20,30 --test 400\nactivefail report {copy}\n" in parsed.text
@@ -538,16 +504,6 @@ def test_numbers_are_written_as_people_read_them():
         "−0.500",
         "1234",
     ]
-
-
-def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
-    path = tmp_path / "scores.csv"
-    path.write_text(",".join([*Score.columns(), "test_unanswered"]) + "\nactive,x,1,1,1,1,1,1\n")
-    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
-        evidence.read_scores(path, ("no_impact", "impact", "failure"))
-    path.write_text("")
-    with pytest.raises(InputError, match="has no rows"):
-        evidence.read_scores(path, ("no_impact", "impact", "failure"))
 
 
 # --- colours -----------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import pytest
 from commandline import activefail, refused
 from scipy.stats import norm
 
+from activefail import open_run
 from activefail.campaign.hazard import Hazard, hazard_of
 from activefail.errors import InputError
 from activefail.risk.design.design_task import Requirement, read_targets
@@ -174,7 +175,8 @@ def test_a_bearing_is_designed_for_a_risk(tmp_path: Path) -> None:
     assert (risk["high"] <= risk["target"]) == (found["status"] == "verified")
     assert any("Pulses below 0.2 m/s" in sentence for sentence in found["assumptions"])
     # A verified design of a report is one given a pulse.
-    assert not (tmp_path / "run" / "designs.json").exists()
+    with open_run(tmp_path / "run") as opened:
+        assert opened.store.recall(("verified designs",)) is None
     refused(
         activefail("report", tmp_path / "run", *asked[:4], "--target", "1% in 50 years"), "given a pulse of the hazard"
     )

@@ -914,7 +914,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
         said = activefail(*words)
         assert said.code == 0, said.err
         if words[0] == "resume":
-            assert f"sets/validation-0.h5 {changed} Its designs are simulated again" in said.err, said.err
+            assert f"The set validation-0 {changed} Its designs are simulated again" in said.err, said.err
         after = outcomes_of_sets(run)
         assert all(before[name] != after[name] and 2 not in after[name] for name in names)
 
@@ -930,7 +930,7 @@ def test_a_verification_by_an_earlier_version_of_the_code_is_simulated_again(min
     said = activefail(*verify)
     assert said.code == 0, said.err
     (name,) = before
-    assert f"sets/{name}.h5 was simulated with different code (simulator.python " in said.err
+    assert f"The set {name} was simulated with different code (simulator.python " in said.err
     assert outcomes_of_sets(run) != before
     assert activefail(*verify).err.count("other code") == 0
 
