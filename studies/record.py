@@ -40,7 +40,7 @@ SPACE = "".join(f"space.{name} = {{ low = 0.0, high = 1.0 }}\n" for name in SCHE
 SETTINGS = parse_settings(f'classifier.features = "design"\n{SPACE}', "record").text()
 COLUMNS = ["origin", "outcome", "cause", "seconds", *SCHEMA.variables, *SCHEMA.margins]
 COMMITS = 192
-"""Three times 64: the run folder merges as often as in the long run."""
+"""Commits that are timed at the end of each record."""
 
 
 def batch(number, size):
