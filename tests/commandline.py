@@ -21,6 +21,7 @@ import typer
 from patience import until
 
 from activefail.cli import app, main
+from activefail.record.run_folder import FolderStore
 
 TESTS = Path(__file__).parent
 
@@ -112,6 +113,13 @@ def record(folder: Path) -> list[dict[str, str]]:
     target = folder.with_suffix(".csv")
     assert activefail("export", folder, "--csv", target).code == 0
     return [{name: cell for name, cell in row.items() if name != "seconds"} for row in table(target)]
+
+
+def sets(folder: Path) -> dict[str, list[int]]:
+    """The outcomes in each set of a run folder."""
+    with FolderStore.open(folder, write=False) as store:
+        kept = {name: store.read_set(name) for name in store.set_names()}
+    return {name: one[1].outcome.tolist() for name, one in kept.items() if one is not None}
 
 
 @contextmanager

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import typer
 from cases import some
-from commandline import CommandResult, activefail, holding, record, refused, started, table, wait_for
+from commandline import CommandResult, activefail, holding, record, refused, sets, started, table, wait_for
 from patience import PATIENCE, until
 
 from activefail import __version__
@@ -187,7 +187,7 @@ def test_a_verbose_error_says_where_it_was_raised(tmp_path: Path) -> None:
     shown = activefail("status", tmp_path / "none", "-v")
     assert shown.code == 2
     assert "Traceback" in shown.err
-    assert "on_disk.py" in shown.err
+    assert "layout.py" in shown.err
     refused(activefail("status", tmp_path / "none"), "none")
 
 
@@ -773,7 +773,7 @@ def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simula
         activefail("compare", folder, f"--budgets={budgets}"),
         f"budgets: must be between 2 and the 30 recorded simulations, got {wrong}",
     )
-    assert list((folder / "sets").iterdir()) == []
+    assert sets(folder) == {}
 
 
 SMALL = "seed = 3\n[sampling]\ninitial = 20\nbudget = 30\nbatch = 10\n"
@@ -849,9 +849,9 @@ def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Pat
     result = activefail("verify", folder, "--simulations", "30")
     assert result.code == 0
     assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", result.out)
-    before = sorted((folder / "sets").iterdir())
+    before = sets(folder)
     assert activefail("verify", folder, "--simulations", "30").out == result.out
-    assert sorted((folder / "sets").iterdir()) == before
+    assert sets(folder) == before
 
 
 @pytest.mark.usefixtures("without_pictures")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from activefail.campaign.known_code import known_code
+from activefail.errors import StoreError
 from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
 from activefail.findings.summary import Summary
 from activefail.record.layout import SETTINGS, check_run_folder
@@ -234,15 +235,18 @@ def read_status(folder: Path) -> Status:
         StoreError: if the record cannot be read.
     """
     check_run_folder(folder)
-    with FolderStore.open(folder, write=False) as store:
+    try:
+        opened = FolderStore.open(folder, write=False)
+    except StoreError:
+        _check_settings(folder)
+        raise
+    with opened as store:
         parts = store.schema, store.batches, store.asked, len(store.corrections.place)
         try:
             summary = Summary.of(store.settings, *parts)
         except ValueError:
-            from activefail.campaign.settings import read_settings
-
-            # Says what is wrong; an older version may have omitted settings that have defaults now.
-            summary = Summary.of(read_settings(folder / SETTINGS, frozen=True).text(), *parts)
+            # An older version may have omitted settings that have defaults now.
+            summary = Summary.of(_check_settings(folder), *parts)
         saved, iteration = store.latest_state(), summary.iteration
         state = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in store.schema.outcomes[1:]}
@@ -250,3 +254,10 @@ def read_status(folder: Path) -> Status:
         simulations = summary.settings.stop_simulations
         looked = simulations is not None and first_part(name_of_look(iteration, simulations)) in store.set_names()
         return Status(folder, summary, store.new_warnings(), state, estimates, looked)
+
+
+def _check_settings(folder: Path) -> str:
+    """The settings of a run folder with all defaults; raises InputError, which says what is wrong with them."""
+    from activefail.campaign.settings import read_settings
+
+    return read_settings(folder / SETTINGS, frozen=True).text()

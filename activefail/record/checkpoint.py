@@ -37,6 +37,11 @@ class State(NamedTuple):
     arrays: Mapping[str, NDArray[Any]]
 
 
+def load_hdf5() -> None:
+    """Load the HDF5 library, which takes a while: before a campaign, not between its results."""
+    import h5py  # noqa: F401
+
+
 def encode(states: States, schema: Schema, batches: Sequence[Batch]) -> bytes:
     """The bytes of a checkpoint.
 

@@ -1,6 +1,5 @@
 """The files and folders reserved in a run folder, and the refusal of symbolic links among them."""
 
-import errno
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -82,29 +81,17 @@ def refuse_links(folder: Path, names: Sequence[str] = _RESERVED) -> None:
         StoreError: naming the link.
     """
     for name in names:
-        path = folder / name
-        if os.path.islink(path):
-            raise _link_error(path)
-        try:
-            with os.scandir(path) as entries:
-                link = next((entry.name for entry in entries if entry.is_symlink()), None)
-        except OSError as error:
-            if error.errno in _NO_FOLDER:
-                continue
-            raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
-        if link is not None:
-            raise _link_error(path / link)
-
-
-_NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
-"""The system's errors for a path that is not a folder; its reader reports what is wrong with it."""
-
-
-def _link_error(path: Path) -> StoreError:
-    return StoreError(
-        f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
-        "the file it points to."
-    )
+        paths = [folder / name]
+        if os.path.isdir(paths[0]) and not os.path.islink(paths[0]):
+            try:
+                paths += sorted(paths[0].iterdir())
+            except OSError as error:
+                raise StoreError(f"Cannot read {paths[0]}: {error.strerror or error}.") from error
+        for path in filter(os.path.islink, paths):
+            raise StoreError(
+                f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it "
+                "with the file it points to."
+            )
 
 
 def check_output(option: str, path: Path | None) -> None:

@@ -22,7 +22,7 @@ from activefail import __version__
 from activefail.errors import InputError, StoreError, SyncError
 from activefail.files import TEMPORARY, make_folder, read_regular, replace
 from activefail.record.batch import Schema
-from activefail.record.checkpoint import LARGEST_CHECKPOINT, States, decode, encode
+from activefail.record.checkpoint import LARGEST_CHECKPOINT, States, decode, encode, load_hdf5
 from activefail.record.events import Event
 from activefail.record.journal import Journal
 from activefail.record.layout import CHECKPOINT, JOURNAL, LARGEST_SETTINGS, SETTINGS, refuse_format_1, refuse_links
@@ -188,6 +188,7 @@ class FolderStore(MemoryStore):
             raise StoreError(f"The schema is not that of the campaign: {path} holds {self.schema}, not {schema}.")
         if self._journal.is_writer:
             self._refusal = ""
+            load_hdf5()
             self._remove_temporaries()
             if not self._journal.has_lock:
                 self._warn(f"The file system of {self.folder} has no locks: make sure that only one process writes.")

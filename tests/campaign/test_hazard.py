@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import activefail, refused
+from commandline import activefail, refused, sets
 from scipy.special import ndtr
 
 import activefail as package
@@ -709,11 +709,11 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     said = " ".join(numbers["assumptions"])
     assert "no property bounds" in said
     assert ("Only the pulses are uncertain" in said) == (file == "rows.toml")
-    stored = sets_of(learned / "run")
+    stored = sets(learned / "run")
     by_hazard = [word if word != "--question" else "--hazard" for word in options]
     for words in (options, by_hazard):
         assert activefail("probability", learned / "run", *words).out == result.out
-        assert sets_of(learned / "run") == stored
+        assert sets(learned / "run") == stored
     assert read_status(learned / "run").estimates == {}
     both = activefail("probability", learned / "run", *options, "--hazard", learned / file)
     assert (both.code, both.out) == (2, "")
@@ -725,12 +725,7 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
         assert numbers["bound_without_model"]["high"] == pytest.approx(0.25)
         again = activefail("probability", learned / "run", *options, "--simulations", "200")
         assert json.loads(again.out)["outcomes"]["failure"]["simulations"] == 5
-        assert sets_of(learned / "run") == stored
-
-
-def sets_of(folder: Path) -> list[str]:
-    with package.open_run(folder) as run:
-        return run.store.set_names()
+        assert sets(learned / "run") == stored
 
 
 def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_path: Path) -> None:

@@ -236,8 +236,6 @@ def test_no_text_of_a_run_folder_forges_a_line_of_the_program(tmp_path: Path, su
             result = activefail(*words)
             unforged(result)
             assert ended(words, result), result
-            if words[0] != "status":
-                assert r"\nresults    forged\r\x1b[2J" in result.err
             survived()
     assert r"quiet\nresults    forged\r\x1b[2J\x1b]0;title\x07\u202e" in activefail("status", folder).out
     page = (folder / "report.html").read_text()

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from commandline import activefail, refused
+from commandline import activefail, refused, sets
 from report.browser import NO_BROWSER, browser, console_errors, photograph, screenshots
 from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
@@ -88,7 +88,7 @@ def plain(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
             "report", ended / "run", "--hazard", ended / "site.toml", "--bearing", ended / "bearing.toml", "--out", page
         )
     assert result.code == 0, result.err
-    assert not list((ended / "run" / "sets").glob("*"))
+    assert sets(ended / "run") == {}
     return page.read_text()
 
 
@@ -137,10 +137,10 @@ def test_the_report_shows_fragility_and_what_the_risk_categories_require(plain: 
 @pytest.fixture(scope="module")
 def shown(verified: Path) -> Path:
     """The report after the verifications; writing it simulated nothing."""
-    before = {path.name for path in (verified / "run" / "sets").iterdir()}
+    before = sets(verified / "run")
     with slow_pictures_empty():
         (verified / "shown.html").write_text(reported(verified))
-    assert {path.name for path in (verified / "run" / "sets").iterdir()} == before
+    assert sets(verified / "run") == before
     return verified / "shown.html"
 
 

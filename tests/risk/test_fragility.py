@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from commandline import activefail, refused
+from commandline import activefail, refused, sets
 from scipy.special import ndtr, ndtri
 
 from activefail.bearing.design import GRAVITY
@@ -251,12 +251,12 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
     command = ("fragility", ended / "run", "--code", ended, "--hazard", ended / "uncertain.toml", "--verify", "60")
     result = activefail(*command, "--out", tmp_path / "new" / "out", "--csv", tmp_path / "curves.csv")
     assert result.code == 0, result.err
-    kept = sorted(path.name for path in (ended / "run" / "sets").iterdir())
+    kept = sets(ended / "run")
     assert "fragility against PGV [m/s], under a <site>" in result.out
     assert "95 % confidence" in result.out
     assert "each one alone has 95 % confidence" in result.out
     again = activefail(*command, "--json")
-    assert sorted(path.name for path in (ended / "run" / "sets").iterdir()) == kept
+    assert sets(ended / "run") == kept
     numbers = json.loads(again.out)
     failure, damage = numbers["outcomes"]["failure"], numbers["outcomes"]["damage"]
     beta = math.hypot(BETA, ADDED)

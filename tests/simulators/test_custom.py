@@ -17,10 +17,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from commandline import activefail, record, refused, started, table, wait_for
+from commandline import activefail, record, refused, sets, started, table, wait_for
 from patience import PATIENCE, Clock
 
 from activefail.campaign.on_disk import create_folder, read_campaign
@@ -875,15 +874,6 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     )
 
 
-def outcomes_of_sets(run: Path) -> dict[str, list[int]]:
-    """The outcomes in each set of a run folder."""
-    outcomes = {}
-    for path in sorted((run / "sets").iterdir()):
-        with h5py.File(path) as file:
-            outcomes[path.stem] = file["outcome"][()].tolist()
-    return outcomes
-
-
 @pytest.mark.faults
 def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
@@ -895,7 +885,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
         said = activefail(*words)
         assert said.code == 0, said
         assert "warning" not in said.err
-    before = outcomes_of_sets(run)
+    before = sets(run)
     assert {name.split("-")[0] for name in before} >= {"validation", "test", "static", "verification"}
     # No design is beyond this limit, so that none is a failure.
     (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
@@ -905,7 +895,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
     unverified = "a verification of the classifier's error"
     assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
     assert unverified in activefail("report", run, "--code", mine, "--out", tmp_path / "2.html").out
-    assert outcomes_of_sets(run) == before
+    assert sets(run) == before
     for words, names in (
         (["resume", run, "--code", mine, "--budget", "28"], ["validation-0"]),
         (compare, [name for name in before if name.startswith(("test", "static"))]),
@@ -915,7 +905,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
         assert said.code == 0, said.err
         if words[0] == "resume":
             assert f"The set validation-0 {changed} Its designs are simulated again" in said.err, said.err
-        after = outcomes_of_sets(run)
+        after = sets(run)
         assert all(before[name] != after[name] and 2 not in after[name] for name in names)
 
 
@@ -925,13 +915,13 @@ def test_a_verification_by_an_earlier_version_of_the_code_is_simulated_again(min
     assert activefail("run", mine / "mine.toml", "--out", run).code == 0
     verify = ["verify", run, "--code", mine, "--simulations", "20"]
     assert activefail(*verify).code == 0
-    before = outcomes_of_sets(run)
+    before = sets(run)
     (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
     said = activefail(*verify)
     assert said.code == 0, said.err
     (name,) = before
     assert f"The set {name} was simulated with different code (simulator.python " in said.err
-    assert outcomes_of_sets(run) != before
+    assert sets(run) != before
     assert activefail(*verify).err.count("other code") == 0
 
 
