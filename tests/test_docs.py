@@ -108,7 +108,7 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
 
 def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatch):
     page = ROOT / "docs" / "sensitivity.md"
-    shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", tmp_path / "runs" / "bearing")
+    shutil.copytree(ROOT / "tests" / "stored_run" / "paper", tmp_path / "runs" / "bearing")
     for name, text in zip(("hazard.toml", "bearing.toml"), blocks(page, "toml"), strict=True):
         (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
@@ -125,7 +125,7 @@ def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatc
 
 def test_the_commands_of_the_page_on_design_run_in_their_order(tmp_path, monkeypatch):
     page = ROOT / "docs" / "design.md"
-    shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", tmp_path / "runs" / "bearing")
+    shutil.copytree(ROOT / "tests" / "stored_run" / "paper", tmp_path / "runs" / "bearing")
     shutil.copytree(ROOT / "campaigns", tmp_path / "campaigns")
     (text,) = blocks(page, "toml")
     (tmp_path / "bearing.toml").write_text(text)
@@ -243,7 +243,7 @@ def test_the_commands_of_the_first_tutorial_run_in_their_order(tmp_path, monkeyp
         name, *words = shlex.split(command)
         if words[0] == "run":
             assert Path(words[1]).exists()
-            shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", Path(words[-1]))
+            shutil.copytree(ROOT / "tests" / "stored_run" / "paper", Path(words[-1]))
             continue
         # Small: the classifier of this folder has learned too little to find a bearing.
         small = ["--simulations", "60", "--no-chart"] if words[0] == "design" else []

@@ -12,7 +12,7 @@ import pytest
 from commandline import activefail
 from patience import PATIENCE, until
 
-OLD_RUNS = Path(__file__).parent / "old_runs"
+STORED = Path(__file__).parent / "stored_run" / "paper"
 
 PROGRAM = """
 import sys
@@ -31,7 +31,7 @@ ALL = {*LEARNING, "scipy", "numba", "matplotlib"}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run folder with a classifier that this version saved, and a table of designs beside it."""
-    run = Path(shutil.copytree(OLD_RUNS / "finished" / "paper", tmp_path_factory.mktemp("paper") / "run"))
+    run = Path(shutil.copytree(STORED, tmp_path_factory.mktemp("paper") / "run"))
     table = run.with_name("all.csv")
     assert activefail("export", run, "--csv", table).code == 0
     rows = [line.split(",")[3:12] for line in table.read_text().splitlines()]

@@ -1,6 +1,7 @@
 """Failure probabilities as a user asks for them: a limit state, a campaign, a number with its interval."""
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -173,7 +174,10 @@ def test_the_bound_is_that_of_clopper_and_pearson_and_never_rounded_down() -> No
 def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Path) -> None:
     file = begun(tmp_path, "plane")
     file.write_text(file.read_text().replace("budget = 60", "initial = 30\nbudget = 30"))
-    assert activefail("run", file, "--out", tmp_path / "run", "--budget", "20").code == 0
+    assert activefail("run", file, "--out", tmp_path / "run", "--budget", "30").code == 0
+    path = tmp_path / "run" / "journal"
+    batches = [match.start() for match in re.finditer(rb'activefail [0-9a-f]{64} \d+ \["batch"', path.read_bytes())]
+    os.truncate(path, batches[20])
     result = activefail("probability", tmp_path / "run", "--code", tmp_path)
     assert "has not finished its initial design; there is nothing to estimate yet" in result.err
     assert result.code == 2
