@@ -185,6 +185,7 @@ def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Pa
 
 def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_path: Path) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
+    remembered(tmp_path / "run", None)
     result = activefail("status", tmp_path / "run")
     assert result.code == 0, result.err
     assert "learner    regression of the margin g on design features" in result.out

@@ -258,6 +258,6 @@ def read_status(folder: Path) -> Status:
 
 def _check_settings(folder: Path) -> str:
     """The settings of a run folder with all defaults; raises InputError, which says what is wrong with them."""
-    from activefail.campaign.settings import read_settings
+    from activefail.campaign.on_disk import read_campaign
 
-    return read_settings(folder / SETTINGS, frozen=True).text()
+    return read_campaign(folder / SETTINGS, run=folder, features=False, frozen=True).settings.text()

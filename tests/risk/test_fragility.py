@@ -355,7 +355,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
         (["--hazard", "site.toml", "--bearing", "period.toml"], "T_p: is uncertain under a hazard"),
         (["--against", "r", "--fixed", "pulse.toml"], "against: no variable besides r is uncertain"),
         (["--hazard", "site.toml", "--csv", "-", "--json"], "--json: cannot be combined with `--csv -`"),
-        (["--hazard", "site.toml", "--out", "run/sets"], "is one of the run folder's own files"),
+        (["--hazard", "site.toml", "--out", "run/simulations"], "is one of the run folder's own files"),
         (["--hazard", "site.toml", "--out", "site.toml"], "--out: site.toml must be a folder, but is a file."),
         (["--hazard", "site.toml", "--csv", "run"], "--csv: run must be a file, but is a folder."),
     ],

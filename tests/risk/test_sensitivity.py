@@ -381,7 +381,7 @@ def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: di
         (["--fixed", "unknown.toml"], "unknown.toml: q: is not a variable of the campaign"),
         (["--question", "correlated.toml"], "T_p and A_p have the correlation 0.5"),
         (["--json", "--csv", "-"], "--json: cannot be combined with `--csv -`"),
-        (["--out", "run/sets"], "--out: "),
+        (["--out", "run/simulations"], "--out: "),
         (["--out", "asked.toml"], "--out: asked.toml must be a folder, but is a file."),
         (["--csv", "run"], "--csv: run must be a file, but is a folder."),
     ],
