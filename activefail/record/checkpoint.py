@@ -73,12 +73,13 @@ def encode(states: States, schema: Schema, batches: Sequence[Batch]) -> bytes:
             types = [(*one, first + place) for *one, place in types]
         file.flush()
         image: bytes = file.id.get_file_image()
-    # A user block has a power of two of bytes, at least 512.
-    line, length = b"", 512
-    while len(line) != length:
-        line, *_ = head("checkpoint", attributes, types, [image], "", length)
-        length *= 1 if len(line) == length else 2
-    return bytes(line) + image
+    # A user block has a power of two of bytes, at least 512; the number of bytes after it has at most 15 digits.
+    shortest, *_ = head("checkpoint", attributes, types, [], "")
+    length = 512
+    while length < len(shortest) + 15:
+        length *= 2
+    line, *_ = head("checkpoint", attributes, types, [image], "", length)
+    return line + image
 
 
 def _columns(schema: Schema, batches: Sequence[Batch]) -> dict[str, NDArray[Any]]:
