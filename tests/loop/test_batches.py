@@ -572,16 +572,13 @@ def test_killed_at_a_write_and_resumed_a_campaign_is_the_uninterrupted_one(
 
 
 @pytest.mark.parametrize("commits", [INITIAL_COMMITS, INITIAL_COMMITS + 2, COMMITS])
-def test_what_was_learned_is_learned_again_when_its_files_are_gone(
+def test_what_was_learned_is_learned_again_when_its_file_is_gone(
     commits: int, uninterrupted: Store, tmp_path: Path
 ) -> None:
     campaign = disc()
     with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
         take(campaign, store, observer=stop_after(commits, store))
-    states = list((tmp_path / "run" / "state").iterdir())
-    assert states
-    for path in states:
-        path.unlink()
+    (tmp_path / "run" / "checkpoint.h5").unlink()
     with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
         take(campaign, store)
         assert recorded(store) == recorded(uninterrupted)
@@ -592,9 +589,11 @@ def test_an_older_state_does_as_well_as_the_newest(uninterrupted: Store, tmp_pat
     campaign = disc()
     with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
         take(campaign, store, observer=stop_after(6, store))
-    *_, newest = sorted((tmp_path / "run" / "state").iterdir())
-    newest.unlink()
     with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+        newest = store.latest_state()
+        assert newest is not None
+        store.reject_state(newest[0], "is not used")
+        assert store.latest_state() is not None
         take(campaign, store)
         assert recorded(store) == recorded(uninterrupted)
         assert learned(store) == learned(uninterrupted)
@@ -606,8 +605,7 @@ def test_reading_what_was_learned_writes_nothing_and_gives_what_the_running_loop
     campaign = disc()
     with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
         take(campaign, store)
-    for path in (tmp_path / "run" / "state").iterdir():
-        path.unlink()
+    (tmp_path / "run" / "checkpoint.h5").unlink()
     probe = campaign.space.sobol(64, np.random.default_rng(0))
 
     def predicted(of: Store) -> bytes:
@@ -616,7 +614,7 @@ def test_reading_what_was_learned_writes_nothing_and_gives_what_the_running_loop
 
     with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store, one_thread():
         assert predicted(store) == predicted(uninterrupted)
-    assert list((tmp_path / "run" / "state").iterdir()) == []
+    assert not (tmp_path / "run" / "checkpoint.h5").exists()
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
