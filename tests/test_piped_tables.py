@@ -3,7 +3,6 @@
 import importlib
 import io
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -371,23 +370,9 @@ def test_with_several_target_boundaries_each_is_named_with_its_share(tmp_path: P
     )
 
 
-def test_a_run_folder_with_outcomes_in_the_wrong_order_from_an_earlier_version_is_read_and_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from activefail.campaign import sections
-
+def test_outcomes_in_the_wrong_order_are_refused(tmp_path: Path) -> None:
     home = folder_of(tmp_path)
     text = (home / "model.toml").read_text()
     (home / "model.toml").write_text(text.replace("{ python", '{ outcomes = ["failure", "safe"], python', 1))
     words = ("run", home / "model.toml", "--out", home / "run", "--workers", "1", "--budget", "12")
     refused(activefail(*words), "simulator.outcomes: the least severe outcome must come first, but 'safe' is the last")
-    with monkeypatch.context() as earlier:
-        earlier.setattr(sections, "means_safety", lambda name: False)
-        assert activefail(*words).code == 0
-    assert activefail("status", home / "run").code == 0
-    result = activefail("resume", home / "run", "--code", home, "--workers", "1", "--budget", "16")
-    assert result.code == 0
-    assert "outcomes from least to most severe: failure, safe" in result.out
-    shutil.rmtree(home / "run" / "state")
-    assert activefail("export", home / "run", "--code", home, "--csv", home / "all.csv").code == 0
-    assert len(table(home / "all.csv")) == 16

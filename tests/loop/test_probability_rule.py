@@ -190,14 +190,15 @@ def at_check(ended):
     return store
 
 
-def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_check) -> None:
+def test_a_check_that_is_cut_short_or_has_lost_runs_ends_nothing(ended, at_check) -> None:
     campaign, store = ended
     n = len(store.batches)
     whole = History.of(store.batches)
     last = whole.last_iteration
     before = History.of(store.batches[: n - 1])
     earlier = current(campaign, copied(campaign, at_check), write=False)
-    for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
+    # Two lost runs of 45, wherever they are, leave a probability of 0.002 unknown.
+    for rows, failed, known in ((8, 0, True), (8, 2, False), (8, 3, False), (3, 0, False)):
         outcome = store.batches[-1].results.outcome.copy()
         outcome[:failed] = -1
         batch = store.batches[-1]
