@@ -380,15 +380,15 @@ def test_a_cost_with_a_minimum_inside_the_feasible_range_is_found() -> None:
     assert cheapest(task, model, np.array([0.1])).values["x"] == pytest.approx(4.6, abs=1e-3)
 
 
-def test_the_safer_end_of_the_range_decides_which_of_two_safe_ranges_is_taken() -> None:
-    # Safest between 1 and 2, but safe for good only beyond 4.
+def test_of_several_ranges_that_meet_the_aim_the_smallest_design_is_taken_and_all_are_named() -> None:
     def model(values: dict[str, float], points: int) -> Array:
         x = values["x"]
         return np.array([0.01 if 1.0 < x < 2.0 else 0.05 if x > 4.0 else 0.5])
 
     found = cheapest(task_on(0.0, 10.0, 0.1), model, np.array([0.1]))
-    assert 4.0 <= found.values["x"] < 4.01
-    assert not found.is_between
+    assert found.is_feasible
+    assert 1.0 <= found.values["x"] < 1.01
+    assert found.ranges == ((found.values["x"], pytest.approx(2.0, abs=0.01)), (pytest.approx(4.0, abs=0.01), 10.0))
 
 
 def test_a_safe_range_between_two_unsafe_ends_is_named_as_such() -> None:
@@ -397,7 +397,7 @@ def test_a_safe_range_between_two_unsafe_ends_is_named_as_such() -> None:
 
     found = cheapest(task_on(0.0, 10.0, 0.1), model, np.array([0.1]))
     assert 3.0 <= found.values["x"] < 3.01
-    assert found.is_between
+    assert found.ranges == ((found.values["x"], pytest.approx(8.0, abs=0.01)),)
 
 
 def test_a_line_that_fewer_points_call_feasible_is_judged_again() -> None:
@@ -484,17 +484,6 @@ def task_on(low: float, high: float, target: float) -> DesignTask:
 
 
 _QUESTION = Question("none", ("x",), None)  # type: ignore[arg-type]
-
-
-def test_a_probability_that_rises_again_is_answered_by_the_value_beyond_which_it_stays_below() -> None:
-    # Below the aim from 1 to 2 and again from 4 on.
-    def model(values: dict[str, float], points: int) -> Array:
-        x = values["x"]
-        return np.array([0.05 if 1.0 < x < 2.0 or x > 4.0 else 0.5]) * math.exp(-0.01 * x)
-
-    found = cheapest(task_on(0.0, 10.0, 0.1), model, np.array([0.1]))
-    assert found.is_feasible
-    assert 4.0 <= found.values["x"] < 4.01
 
 
 def test_a_variable_whose_increase_makes_failure_likelier_is_searched_from_its_other_end() -> None:

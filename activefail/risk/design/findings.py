@@ -131,10 +131,11 @@ class DesignFindings:
                 "No design within the ranges brings the classifier's probability down to the search's goal. This "
                 "design comes nearest to it."
             )
-        elif candidate.is_between:
+        elif len(candidate.ranges) > 1 or (candidate.ranges and candidate.ranges[0][1] < task.high[task.free[0]]):
+            ranges = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in candidate.ranges)
             sentences.append(
-                "The probability exceeds the search's goal on both sides of this range of designs. This design is the "
-                f"{kind}est one in the range that contains the safest design."
+                f"The classifier's probability meets the search's goal for {task.free[0]} of {ranges}, and exceeds it "
+                f"between and beyond. This design is the {kind}est of these: a larger one may miss the target."
             )
         else:
             sentences.append(

@@ -57,13 +57,14 @@ class Candidate:
         values: of the free variables.
         model: (r,) the classifier's probabilities.
         is_feasible: whether these meet the aims; if not, no design does and this one comes nearest.
-        is_between: whether the probabilities exceed the aims again on both sides of the first free variable.
+        ranges: (low, high) of the first free variable where they do, the others held; between and beyond these ranges
+            they do not.
     """
 
     values: Mapping[str, float]
     model: Array
     is_feasible: bool
-    is_between: bool = False
+    ranges: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,9 +308,9 @@ def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
 def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Candidate:
     """The cheapest design whose probabilities under the classifier meet the aims, (r,).
 
-    On each line along the first free variable it is the cheapest value beyond which the probabilities stay below the
-    aims, up to the safer end of the range: a failure probability need not fall with every increase of a variable.
-    Further free variables are searched by a Sobol' sample of lines and the simplex method [NelderMead1965].
+    A failure probability need not fall with every increase of a variable, so a line along the first free variable may
+    have several ranges that meet them. Further free variables are searched by a Sobol' sample of lines and the simplex
+    method [NelderMead1965].
     """
     if len(task.free) == 1:
         return _on_line(task, model, {}, aims)
@@ -384,28 +385,28 @@ def _on_line(
 
     grid = np.linspace(low, high, size)
     excesses = np.array([excess(float(x)) for x in grid])
-    first = last = int(np.argmin(excesses))
-    if excesses[first] > 0.0:
-        x = float(grid[first])
+    if excesses.min() > 0.0:
+        x = float(grid[np.argmin(excesses)])
         return Candidate({name: x, **held}, probabilities(x), is_feasible=False)
-    safer_end = 0 if excesses[0] < excesses[-1] else size - 1
-    if excesses[safer_end] <= 0.0:
-        first = last = safer_end
-    while first > 0 and excesses[first - 1] <= 0.0:
-        first -= 1
-    while last < size - 1 and excesses[last + 1] <= 0.0:
-        last += 1
-    ends = [float(grid[first]), float(grid[last])]
-    for side, (inside, outside) in enumerate(((first, first - 1), (last, last + 1))):
-        if 0 <= outside < size:
-            root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
-            # On the safe side of the root's tolerance, with few digits, so that the printed design is the verified one.
-            towards = 1.0 if grid[inside] > grid[outside] else -1.0
-            digit = 10.0 ** math.floor(math.log10(_FINE * (high - low)) + 0.5)
-            root = towards * digit * math.ceil(towards * (root + towards * _FINE * (high - low)) / digit)
-            ends[side] = min(max(round(root, 12), low), high)
-    values = [*ends, *(float(x) for x in grid[first : last + 1])]
-    if ends[0] < ends[1]:
-        values.append(float(minimize_scalar(cost, bounds=(ends[0], ends[1]), method="bounded").x))
+
+    def end(inside: int, outside: int) -> float:
+        """The end of a range between two values of the grid; the inner one if there is no outer one."""
+        if not 0 <= outside < size:
+            return float(grid[inside])
+        root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
+        # On the safe side of the root's tolerance, with few digits, so that the printed design is the verified one.
+        towards = 1.0 if grid[inside] > grid[outside] else -1.0
+        digit = 10.0 ** math.floor(math.log10(_FINE * (high - low)) + 0.5)
+        root = towards * digit * math.ceil(towards * (root + towards * _FINE * (high - low)) / digit)
+        return min(max(round(root, 12), low), high)
+
+    edges = np.flatnonzero(np.diff(np.pad(excesses <= 0.0, 1)))
+    ranges, values = [], []
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        ends = end(first, first - 1), end(last, last + 1)
+        ranges.append(ends)
+        values += [*ends, *grid[first : last + 1].tolist()]
+        if ends[0] < ends[1]:
+            values.append(float(minimize_scalar(cost, bounds=ends, method="bounded").x))
     x = min(values, key=cost)
-    return Candidate({name: x, **held}, probabilities(x), is_feasible=True, is_between=first > 0 and last < size - 1)
+    return Candidate({name: x, **held}, probabilities(x), is_feasible=True, ranges=tuple(ranges))
