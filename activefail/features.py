@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import parse_expression
+from activefail.names import FeatureSet
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
-
-FeatureSet = Literal["paper", "design", "decorrelated", "sliding", "collision"]
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""

@@ -162,8 +162,7 @@ class Run:
         return self._summary_of(self._first(simulations))
 
     def _summary_of(self, batches: "Sequence[Batch]") -> Summary:
-        # Not the file's text: an older version may have omitted settings that have defaults now.
-        return Summary.of(self.settings.text(), self.campaign.schema, batches, self.store.asked)
+        return Summary.of(self.settings, self.campaign.schema, batches, self.store.asked)
 
     def resume_command(
         self,

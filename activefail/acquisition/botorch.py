@@ -16,10 +16,11 @@ from botorch.utils.transforms import t_batch_mode_transform
 from torch import Tensor
 
 from activefail.acquisition.batch_proposal import REFERENCES, fantasised
-from activefail.acquisition.criteria import Criterion, LookAhead, Pointwise, criterion
+from activefail.acquisition.criteria import LookAhead, Pointwise, criterion
 from activefail.acquisition.differentiable import columns
 from activefail.errors import InputError
 from activefail.features import FeatureMap
+from activefail.names import Criterion
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 

@@ -17,16 +17,14 @@ P = Φ(b), b = −μ_q/σ_q. After a label 1 or 0 it is safe with probability
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from scipy.special import ndtr, xlogy
 
 from activefail.acquisition.bivariate import label_covariance
 from activefail.acquisition.functions import Functions, Numbers
-
-Criterion = Literal["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
-
+from activefail.names import Criterion
 
 Pointwise: TypeAlias = Callable[[Numbers, Numbers], Numbers]
 """(mean, sd) -> value."""

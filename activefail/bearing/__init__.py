@@ -1,10 +1,9 @@
 """The bearing model: a double friction pendulum bearing under a pulse, with rim impact, slider rotation and uplift."""
 
-from activefail.bearing.kernels import kept_kernels
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-with kept_kernels():
-    # Not used here: imported so that their kernels are defined here too.
-    from activefail.bearing import collision, motion, record_features  # noqa: F401
+if TYPE_CHECKING:
     from activefail.bearing.accelerogram import Accelerogram
     from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
     from activefail.bearing.simulation import Response, Responses, simulate, simulate_one, simulate_records
@@ -22,3 +21,13 @@ __all__ = [
     "simulate_one",
     "simulate_records",
 ]
+
+_DESIGN = ("TABLE_1", "Bearing", "Model", "Pulse", "Tolerance")
+
+
+def __getattr__(name: str) -> Any:
+    # Lazily: settings know the model's defaults without loading numba.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = "design" if name in _DESIGN else "accelerogram" if name == "Accelerogram" else "simulation"
+    return getattr(import_module(f"activefail.bearing.{module}"), name)

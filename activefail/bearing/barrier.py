@@ -11,11 +11,9 @@ potential energy is that of the slider's height, upright·cos θ.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import static_contact
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import KERNEL, kernel
 
 
 class Side(NamedTuple):
@@ -35,13 +33,13 @@ class Barrier(NamedTuple):
     failure: float  # lower bound where the bearing fails
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _give(load, stiffness):
     """Largest energy gain of a vertex from penetration under a load [N], max over δ of load·δ − 0.4 k δ^2.5 [J]."""
     return 0.6 * load * (load / stiffness) ** (2.0 / 3.0)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _held(weight, plate, half_width):
     """The bounds for a plate at any position of the slider."""
     height, penetration = static_contact(plate, half_width, weight)
@@ -50,7 +48,7 @@ def _held(weight, plate, half_width):
     return Side(level, turn, -_give(weight, plate.stiffness), weight * half_width)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _lost(weight, plate, half_width, rim_height):
     """The bounds for a plate if both vertices are at least the rim's height away from its dish."""
     rest = plate.radius - rim_height
@@ -59,7 +57,7 @@ def _lost(weight, plate, half_width, rim_height):
     return Side(weight * (plate.radius - depth), turn, weight * rim_height, weight * half_width)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _least(bottom, top, upright, limit):
     """Least potential energy [J] up to a tilt `limit`, from the bounds for both plates."""
     level, turn = bottom.level + top.level + upright, bottom.turn + top.turn + upright
@@ -74,7 +72,7 @@ def _least(bottom, top, upright, limit):
     )
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _least_raised(raised, energy, other, upright, limit):
     """Least potential energy [J] up to a tilt if raising one vertex of a plate takes `energy` [J]."""
     # The midpoint is below that vertex by at most half the rise of the width; the bound `raised` still holds.
@@ -89,7 +87,7 @@ def _least_raised(raised, energy, other, upright, limit):
     )
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def barrier(system, confinement):
     """The `Barrier` of a bearing, with heights above the bottom plate's apex.
 

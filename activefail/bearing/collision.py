@@ -18,11 +18,11 @@ second passes.
 import math
 
 import numpy as np
-from numba import njit
 
 from activefail.bearing.contact import Plate, gap, vertex_force
 from activefail.bearing.design import GRAVITY, Model, table_1_rows
 from activefail.bearing.ground import Ricker, acceleration, is_harmless, shaking_of
+from activefail.bearing.kernels import kernel
 from activefail.bearing.sliding import STEPS, drift, slide
 from activefail.space import Array
 
@@ -42,7 +42,7 @@ _AFTERMATH = 1.0
 """Time simulated after the ground motion [s]."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def touching_displacement(half_dish, half_width, length, slider_height):
     """Displacement of the top plate at which the seated slider touches both rims [m].
 
@@ -57,7 +57,7 @@ def touching_displacement(half_dish, half_width, length, slider_height):
     return x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _step(plate, plate_mass, inertia, half_width, half_height, speed):
     """A stable explicit step [s] for a collision at the given speed [m/s]."""
     static = (0.5 * plate_mass * GRAVITY / plate.stiffness) ** (2.0 / 3.0)
@@ -69,7 +69,7 @@ def _step(plate, plate_mass, inertia, half_width, half_height, speed):
     return min(_LONGEST_STEP, 0.8 / frequency, 1.0 / damping if damping > 0.0 else math.inf)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def collide(plate, plate_mass, half_width, half_height, rim_height, length, touch, motion, t, x, dx, speed):
     """How close to failure a bearing comes after time t, when its seated slider is at x [m] with velocity dx [m/s].
 
@@ -140,7 +140,7 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
     return math.sqrt(lift / rim_height), tilt
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def severity_of(bearing, motion, slider_diameter, density, restitution, damping_ratio, assembly, steps):
     """How close to failure a bearing, (7,), comes under a ground motion (`collision_severity`)."""
     T_b, mu, D_tot, h_sl_ratio = bearing[0], bearing[1], bearing[2], bearing[3]
@@ -193,7 +193,7 @@ def severity_of(bearing, motion, slider_diameter, density, restitution, damping_
     return max(lift, tilt)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _severities(X, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
     for row in range(len(X)):
         T_p, A_p = X[row, 7], X[row, 8]

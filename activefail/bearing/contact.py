@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.kernels import INLINE, KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.lanes import any_positive, positive, sign, sqrt, where
 from activefail.bearing.tuples import axpy
 
@@ -39,14 +39,14 @@ class Force(NamedTuple):
     stored: float  # elastic energy [J]
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def gap(u, w, plate):
     """Distance of a vertex from the undeformed dish [m]; negative when it penetrates."""
     height = w - plate.radius
     return plate.radius - sqrt(u * u + height * height)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def meets_rim(u, w, plate):
     """Whether a vertex penetrates the rim, which extends downwards without end."""
     return abs(u) > plate.rim_distance and w < plate.rim_top

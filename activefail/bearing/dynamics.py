@@ -14,7 +14,7 @@ from activefail.bearing import ground, integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
 from activefail.bearing.ground import Ricker, Segment
-from activefail.bearing.kernels import INLINE, KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.tuples import axpy_rows, scaled
 
@@ -83,7 +83,7 @@ def system(bearing: Bearing, motion: Pulse | Segment, model: Model) -> System:
     )
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def static_contact(plate, half_width, load):
     """Height above a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
     penetration = 0.0
@@ -96,7 +96,7 @@ def static_contact(plate, half_width, load):
     return plate.radius - math.sqrt(distance * distance - half_width * half_width), penetration
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def equilibrium(system):
     """Coordinates of the centred bearing at rest under gravity."""
     slider, plate = system.slider_mass * GRAVITY, system.plate_mass * GRAVITY
@@ -119,7 +119,7 @@ def cosine_and_sine(angle):
     return 1.0 - 0.5 * z + z * z * cosine, angle + angle * z * sine
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def lever(system, vertex, theta):
     """Vector from the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
     b_x = system.half_width if vertex % 2 == 1 else -system.half_width
@@ -128,7 +128,7 @@ def lever(system, vertex, theta):
     return cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def seen_by_plate(vertex, r_x, r_z, q):
     """Position (u, w) of a vertex in the frame of the plate that it faces [m]."""
     if vertex < 2:
@@ -136,7 +136,7 @@ def seen_by_plate(vertex, r_x, r_z, q):
     return q[0] + r_x - q[3], q[4] - q[1] - r_z
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def speed_seen_by_plate(vertex, r_x, r_z, v):
     """Velocity of a vertex in the frame of the plate that it faces [m/s]."""
     if vertex < 2:
@@ -212,7 +212,7 @@ def _accelerations(system, f_x, f_z, moment, moved, risen):
     )
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def dfp_acceleration(system, t, q, v):
     """Accelerations of the five coordinates."""
     at = vertices(system, q, v)
@@ -250,7 +250,7 @@ def _of_plates_rows(rows):
     return ((a_0, b_0, c_0), (d_0, e_0, f_0), (g_0, h_0, i_0)), ((a_1, b_1, c_1), (d_1, e_1, f_1), (g_1, h_1, i_1))
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def dfp_linearisation(system, t, q, v):
     """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, in closed form."""
     at = vertices(system, q, v)
@@ -310,7 +310,7 @@ def energy_of(system, t, q, v, force):
     return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], power)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def energy(system, t, q, v):
     """The `Energy` at a state: stored energy [J], dissipated power and the ground motion's power [W]."""
     at = vertices(system, q, v)

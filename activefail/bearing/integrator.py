@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.kernels import INLINE, KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.tuples import (
     axpy,
     axpy_rows,
@@ -131,7 +131,7 @@ class State(NamedTuple):
     evaluations: int  # of the acceleration
 
 
-@njit(cache=True)
+@kernel()
 def start(t, step, q, v):
     """The initial state, with the first step to try."""
     return State(t, step, q, v, 0, 0, 0)
@@ -228,7 +228,7 @@ EVALUATIONS = len(RODAS.c) - 1
 """Evaluations of the acceleration per attempt; the first stage takes it from the linearisation."""
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def advance(problem, state, control, longest):
     """Make one accepted step of at most `longest` [s], retrying with shorter ones.
 

@@ -1,11 +1,13 @@
 """The compiled kernels: their compiler options, and the folder that keeps them."""
 
+import ast
 import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -50,37 +52,63 @@ def compiler_options() -> str:
     return " ".join(f"NUMBA_{name}={value}" for name, value in values.items() if value != _DEFAULTS[name]) or "defaults"
 
 
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorate a kernel: numba compiles it with these options at its first call and keeps it (`kept_kernels`)."""
+    from numba import njit
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        with kept_kernels(_folder()):
+            return njit(cache=True, **options)(function)
+
+    return decorate
+
+
+@cache
+def _folder() -> Path:
+    return folder_of_kernels()
+
+
+def folder_of_kernels(package: Path = _PACKAGE) -> Path:
+    """The folder for the kernels of these sources and compiler options.
+
+    Kernels of earlier sources next to the package are deleted; their folders stay, because a process that began before
+    the change may still save there.
+    """
+    from numba.core import config
+    from numba.misc.appdirs import AppDirs
+
+    pycache = package / "__pycache__"
+    base = Path(
+        config.CACHE_DIR or (pycache if os.access(package, os.W_OK) else AppDirs("numba", False).user_cache_dir)
+    )
+    digest = hashlib.sha256()
+    for source in sorted(package.glob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    sources = f"kernels-{digest.hexdigest()[:16]}"
+    with suppress(OSError):
+        for kept in pycache.glob("kernels-*/**/*.nb[ic]"):
+            if sources not in kept.parts:
+                kept.unlink(missing_ok=True)
+    # Absolute, because the current folder may change before a kernel is compiled.
+    return base.absolute() / sources / hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
+
+
 @contextmanager
-def kept_kernels(package: Path = _PACKAGE) -> Iterator[None]:
-    """Keep kernels that are defined meanwhile in a folder of these sources and compiler options, and nowhere else.
+def kept_kernels(folder: Path) -> Iterator[None]:
+    """Keep kernels that are defined meanwhile in this folder, and nowhere else.
 
     By itself, numba checks only a kernel's own file: it would continue to use a kernel after a change in a function
     that the kernel calls, or after a change of the compiler options. Numba would also turn to its other folders, which
     have the same fault, if it cannot use this one, or if `NUMBA_CACHE_LOCATOR_CLASSES` names them. Therefore numba gets
     this folder alone. If it cannot be written, kernels are compiled for this process and not kept.
-
-    Kernels of earlier sources next to the package are deleted; their folders stay, because a process that began before
-    the change may still save there.
     """
     from numba.core import config, dispatcher
     from numba.core.caching import UserProvidedCacheLocator
-    from numba.misc.appdirs import AppDirs
 
     kernel_type: Any = dispatcher.Dispatcher
     before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching
-    pycache = package / "__pycache__"
-    writable = os.access(package, os.W_OK)
-    base = Path(config.CACHE_DIR or (pycache if writable else AppDirs("numba", False).user_cache_dir))
-    sources = f"kernels-{sources_digest(package)[:16]}"
-    options = hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
-    with suppress(OSError):
-        for kernel in pycache.glob("kernels-*/**/*.nb[ic]"):
-            if sources not in kernel.parts:
-                kernel.unlink(missing_ok=True)
-    # Absolute, because the current folder may change before a kernel is compiled.
-    folder = base.absolute() / sources / options
     config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), UserProvidedCacheLocator.__name__
-    place = folder / UserProvidedCacheLocator.get_suitable_cache_subpath(str(package / "kernels.py"))
+    place = folder / UserProvidedCacheLocator.get_suitable_cache_subpath(__file__)
     kernel_type.enable_caching = _keep if _is_writable(place) else _do_not_keep
     try:
         yield
@@ -144,9 +172,14 @@ def check_compiled() -> None:
         raise InputError("NUMBA_DISABLE_JIT is set, but the bearing's kernels run only when compiled. Unset it.")
 
 
-def sources_digest(package: Path = _PACKAGE) -> str:
-    """SHA-256 of the package's sources, which identifies the version of the physics."""
+@cache
+def physics_digest(package: Path = _PACKAGE) -> str:
+    """SHA-256 of the package's syntax, without docstrings, which identifies the version of the physics."""
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
-        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+        tree = ast.parse(source.read_bytes())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+                node.body = node.body[1:]
+        digest.update(f"{source.name}\0{ast.dump(tree)}".encode())
     return digest.hexdigest()

@@ -3,13 +3,13 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from activefail.bearing import outcome as o
 from activefail.bearing.accelerogram import STILL, Accelerogram
 from activefail.bearing.contact import gap, vertex_force
 from activefail.bearing.design import GRAVITY, Pulse
 from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
+from activefail.bearing.kernels import kernel
 from activefail.bearing.pulse import ground_acceleration
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
@@ -20,7 +20,7 @@ LONGEST_STEP = 0.01
 """Longest interval of `Motion.fine_times` [s]; longer steps are divided for smooth lines."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _watch(system, q, v, gaps, rims):
     """Compute confinement gaps [m] and normal rim forces [N] along a motion.
 

@@ -7,7 +7,7 @@ from numba import njit
 
 from activefail.bearing.contact import gap, vertex_force
 from activefail.bearing.dynamics import energy_of, of_plates, vertices
-from activefail.bearing.kernels import INLINE, KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.lanes import numbers, sign
 
 NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
@@ -84,7 +84,7 @@ def _observation(system, q, at, force):
     return Observation(touch, touch_velocity, max(on_bottom, on_top), confinement_gap, escape, abs(q[2]))
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def observe(system, q, v):
     """The `Observation` of a state."""
     at = vertices(system, q, v)
@@ -99,7 +99,7 @@ def examine(system, t, q, v):
     return energy_of(system, t, q, v, force), _observation(system, q, at, force)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def crossing(before, after, level):
     """Fraction of a step, 0 to 1, at which a function from `before` to `after` reaches `level`, linearly interpolated.
 
@@ -110,7 +110,7 @@ def crossing(before, after, level):
     return (level - before) / (after - before)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def failure_cause(observation, system, confinement):
     """The cause of failure at an instant, or NONE."""
     if observation.escape >= 0.0:
@@ -122,7 +122,7 @@ def failure_cause(observation, system, confinement):
     return NONE
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def failure_fraction(before, after, cause, system):
     """Fraction of a step, 0 to 1, at which the failure with this cause occurred."""
     if cause == ESCAPE:

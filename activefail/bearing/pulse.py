@@ -4,11 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import KERNEL, kernel
 from activefail.space import Array
 
 _SPREAD = 2.0 * math.pi / math.sqrt(3.0)
@@ -49,14 +48,14 @@ def ground_velocity(t: NDArray[np.floating[Any]], amplitude: float, period: floa
     return amplitude * VELOCITY_PER_ACCELERATION * period * (1.0 - s * s) * np.exp(-0.5 * s * s)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def ground_acceleration(t, amplitude, period):
     """Ground acceleration ü_g [m/s²] at time t [s] of a pulse of amplitude A_p [m/s²] and period T_p [s]."""
     s = _SPREAD * t / period
     return amplitude / PEAK * (s * s - 3.0) * s * math.exp(-0.5 * s * s)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def ground_jerk(t, amplitude, period):
     """Time derivative of the ground acceleration [m/s³]."""
     s = _SPREAD * t / period
@@ -64,7 +63,7 @@ def ground_jerk(t, amplitude, period):
     return amplitude / PEAK * _SPREAD / period * (6.0 * s2 - 3.0 - s2 * s2) * math.exp(-0.5 * s2)
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def impulse_to_come(t, amplitude, period):
     """∫ |ü_g| dt from t on [m/s]."""
     s = _SPREAD * t / period

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.collision import COLLISION_FEATURES, severity_of
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.ground import Samples, Scaled
-from activefail.bearing.kernels import check_compiled
+from activefail.bearing.kernels import check_compiled, kernel
 from activefail.bearing.sliding import SLIDING_FEATURES, STEPS, sliding_pair
 from activefail.errors import InputError
 from activefail.space import Array
@@ -24,7 +23,7 @@ _LEAST_PART = 16
 """Fewest rows of a thread: computing their features takes about 10 ms."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _under_record(X, samples, factors, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
     for row in range(len(X)):
         motion = Scaled(samples, factors[row])

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
@@ -28,7 +27,7 @@ from activefail.bearing.course import (
 from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
-from activefail.bearing.kernels import KERNEL, check_compiled
+from activefail.bearing.kernels import KERNEL, check_compiled, kernel
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -60,7 +59,7 @@ class KernelResult(NamedTuple):
     recorded: int  # rows of a complete history, which may exceed the rows available
 
 
-@njit(cache=True, **KERNEL)
+@kernel(**KERNEL)
 def _record(history, row, system, state):
     """Write a state into a row of the history, if the row exists."""
     if row < history.shape[0]:
@@ -72,7 +71,7 @@ def _record(history, row, system, state):
             history[row, 11 + i] = a[i]
 
 
-@njit(cache=True, nogil=True, **KERNEL)
+@kernel(nogil=True, **KERNEL)
 def integrate(system, samples, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 

@@ -13,10 +13,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from activefail.bearing.design import GRAVITY, Model, table_1_rows
 from activefail.bearing.ground import Ricker, acceleration, shaking_of
+from activefail.bearing.kernels import kernel
 from activefail.space import Array
 
 STEPS = 400
@@ -34,7 +34,7 @@ class Slide(NamedTuple):
     first_side: float  # side of the first touch, -1 or 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def slide(stiffness, friction, stop, restitution, motion, steps):
     """The `Slide` of a block that starts from rest between its stops.
 
@@ -98,7 +98,7 @@ def slide(stiffness, friction, stop, restitution, motion, steps):
     return Slide(speed, push, peak, first_speed, first_time, first_side)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def drift(stiffness, friction, motion, steps, until):
     """Displacement [m] and velocity [m/s] of the block of `slide` without stops at time `until` [s]."""
     begin, _, period = shaking_of(motion)
@@ -116,7 +116,7 @@ def drift(stiffness, friction, motion, steps, until):
     return x, v + 0.5 * change
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def sliding_pair(bearing, motion, slider_diameter, restitution, steps):
     """v* and a* of a bearing, (7,), under a ground motion (`sliding_features`); NaN if it cannot be built."""
     T_b, mu, D_tot, h_sl_ratio, h_rim_ratio = bearing[0], bearing[1], bearing[2], bearing[3], bearing[4]
@@ -136,7 +136,7 @@ def sliding_pair(bearing, motion, slider_diameter, restitution, steps):
     return speed / math.sqrt(2.0 * GRAVITY * h_rim_ratio * slider_diameter), block.push / GRAVITY
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _features(X, slider_diameter, restitution, steps, out):
     for row in range(len(X)):
         T_p, A_p = X[row, 7], X[row, 8]

@@ -12,7 +12,8 @@ from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
-from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, FeatureSet, feature_map
+from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
+from activefail.names import FeatureSet
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
 from activefail.simulators.bearing import DfpSimulator
@@ -116,7 +117,7 @@ class Campaign:
     @property
     def needs_code(self) -> bool:
         """Whether the settings name custom code: functions, or a program."""
-        return bool(self.functions) or isinstance(self.settings.simulator, sections.CommandSimulatorSettings)
+        return self.settings.needs_code
 
     @property
     def decisive(self) -> tuple[str, ...]:
@@ -135,7 +136,7 @@ class Campaign:
     @property
     def is_elsewhere(self) -> bool:
         """Whether simulations are done elsewhere, so that activefail cannot run any."""
-        return isinstance(self.settings.simulator, sections.ElsewhereSettings)
+        return self.settings.is_elsewhere
 
     def check_simulates(self) -> None:
         """Check that activefail can run the campaign's simulations.

@@ -28,12 +28,12 @@ def read_campaign(
         path: the campaign file.
         seed, budget: replace those of the file.
         code, run, features: see `Campaign.of`.
-        frozen: whether the file is that of a run folder (see `parse_settings`), which was checked when it was created.
+        frozen: whether the file is that of a run folder whose features were checked when it was created.
 
     Raises:
         InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
-    settings = read_settings(path, frozen).with_overrides(seed, budget)
+    settings = read_settings(path).with_overrides(seed, budget)
     try:
         return Campaign.of(settings, code, run, custom_features=features, check_features=not frozen)
     except InputError as error:

@@ -6,11 +6,11 @@ from functools import cache
 from importlib.metadata import version
 
 from activefail import __version__
-from activefail.bearing.kernels import compiler_options, sources_digest
+from activefail.bearing.kernels import compiler_options, physics_digest
 from activefail.visible import visible
 
 BEARING_SOURCES = "bearing_sources"
-"""The entry for the digest of the bearing's sources."""
+"""The entry for the digest of the bearing's physics."""
 
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
@@ -41,7 +41,7 @@ def simulation_versions() -> dict[str, str]:
         "activefail": __version__,
         "python": platform.python_version(),
         **{name: _version(name) for name in ("numpy", "numba")},
-        BEARING_SOURCES: sources_digest(),
+        BEARING_SOURCES: physics_digest(),
         "numba_options": compiler_options(),
     }
 
@@ -52,7 +52,7 @@ def provenance() -> dict[str, str]:
     record |= {name: _version(name) for name in _PACKAGES}
     import llvmlite.binding as llvm
 
-    record[BEARING_SOURCES] = sources_digest()
+    record[BEARING_SOURCES] = physics_digest()
     record["processor"] = llvm.get_host_cpu_name()
     # Numba compiles for these features; two machines of the same name can differ in them.
     record["processor_features"] = ",".join(

@@ -17,11 +17,9 @@ from pydantic import (
     model_validator,
 )
 
-from activefail.acquisition.criteria import Criterion
 from activefail.bearing.design import LARGEST, Model, Tolerance
-from activefail.campaign.boundaries import boundary_shares
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
-from activefail.features import FeatureSet
+from activefail.names import Criterion, FeatureSet
 from activefail.parameter import Parameter, distribution_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
 
@@ -185,9 +183,6 @@ _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w
 """A Python function, "module:function"."""
 
 
-ACCEPTED_BEFORE = "accepted before"
-"""Key of a validation's context: whether the settings were accepted before, possibly by an earlier version."""
-
 _SAFE = (
     "safe|safety|safely|ok|okay|pass|passed|passes|passing|survive|survived|survives|survival|surviving|intact|stable|"
     "none|nothing|fine|good|success|successful|sound|healthy|holds|acceptable"
@@ -263,8 +258,8 @@ class OutcomeSettings(Section):
 
     @field_validator("outcomes")
     @classmethod
-    def _end_with_the_most_severe(cls, names: list[str], info: ValidationInfo) -> list[str]:
-        if (info.context or {}).get(ACCEPTED_BEFORE) or not means_safety(names[-1]):
+    def _end_with_the_most_severe(cls, names: list[str]) -> list[str]:
+        if not means_safety(names[-1]):
             return names
         raise ValueError(f"the least severe outcome must come first, but {names[-1]!r} is the last of {names}")
 
@@ -520,7 +515,11 @@ class AcquisitionSettings(Section):
     @property
     def boundaries(self) -> dict[str, float]:
         """The share of active designs for each target boundary, by outcome; the shares sum to 1."""
-        return boundary_shares(self.boundary)
+        weights = {self.boundary: 1.0} if isinstance(self.boundary, str) else self.boundary
+        # Divide by the largest first: the sum of huge weights would overflow.
+        largest = max(weights.values())
+        scaled = {name: weight / largest for name, weight in weights.items()}
+        return {name: weight / sum(scaled.values()) for name, weight in scaled.items()}
 
     @property
     def main_boundary(self) -> str:

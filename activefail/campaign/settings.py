@@ -12,7 +12,6 @@ from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validato
 from activefail.bearing.design import TABLE_1
 from activefail.campaign.broken_rules import broken_rule
 from activefail.campaign.sections import (
-    ACCEPTED_BEFORE,
     KINDS,
     NAME,
     WITH,
@@ -25,6 +24,7 @@ from activefail.campaign.sections import (
     FixedVariable,
     Limits,
     ProbabilityStop,
+    PythonFeaturesSettings,
     PythonSimulatorSettings,
     QuestionSettings,
     Sampling,
@@ -182,6 +182,19 @@ class CampaignSettings(Section):
         """The stop rule, if it asks for a probability."""
         return self.stop if isinstance(self.stop, ProbabilityStop) else None
 
+    @property
+    def needs_code(self) -> bool:
+        """Whether the settings name custom code: functions, or a program."""
+        features = self.classifier.features
+        return isinstance(self.simulator, PythonSimulatorSettings | CommandSimulatorSettings) or isinstance(
+            features, PythonFeaturesSettings
+        )
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether simulations are done elsewhere, so that activefail cannot run any."""
+        return isinstance(self.simulator, ElsewhereSettings)
+
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
         variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
@@ -217,7 +230,7 @@ class CampaignSettings(Section):
             for part in sections:
                 section = section[part]
             section[name] = value
-        return checked(CampaignSettings, values, "command line", accepted_before=True)
+        return checked(CampaignSettings, values, "command line")
 
 
 SectionType = TypeVar("SectionType", bound=Section)
@@ -226,23 +239,19 @@ _MOST_RULES = 50
 """Most broken rules listed in one message."""
 
 
-def checked(
-    section: type[SectionType], values: dict[str, Any], source: str, accepted_before: bool = False
-) -> SectionType:
+def checked(section: type[SectionType], values: dict[str, Any], source: str) -> SectionType:
     """The settings with these values.
 
     Args:
         section: the kind of settings.
         values: their values.
         source: names the settings in errors.
-        accepted_before: whether the settings were accepted before. Rules that an earlier version did not have are then
-            not applied.
 
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
     """
     try:
-        return section.model_validate(values, context={ACCEPTED_BEFORE: accepted_before})
+        return section.model_validate(values)
     except ValidationError as invalid:
         errors = invalid.errors()
         rules = [f"  {visible(broken_rule(section, error))}" for error in errors[:_MOST_RULES]]
@@ -293,28 +302,23 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
 
 
-def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSettings:
+def parse_settings(text: str, source: str) -> CampaignSettings:
     """Parse settings from TOML.
 
     Args:
         text: the TOML.
         source: names the text in errors.
-        frozen: whether the text was frozen in a run folder. What an earlier version did not write there then has the
-            value that it had, which is not always the present default, and rules that it did not have do not apply.
 
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
     """
-    values = parse_toml(text, source)
-    if frozen and isinstance(classifier := values.setdefault("classifier", {}), dict):
-        classifier.setdefault("learns", "outcomes")
-    return checked(CampaignSettings, values, source, accepted_before=frozen)
+    return checked(CampaignSettings, parse_toml(text, source), source)
 
 
-def read_settings(path: Path, frozen: bool = False) -> CampaignSettings:
+def read_settings(path: Path) -> CampaignSettings:
     """Read the settings of a campaign file, or those that a run folder has frozen.
 
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
     """
-    return parse_settings(read_text(path), str(path), frozen)
+    return parse_settings(read_text(path), str(path))

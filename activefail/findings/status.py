@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from activefail.campaign.known_code import known_code
-from activefail.errors import StoreError
+from activefail.campaign.settings import read_settings
 from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
-from activefail.findings.summary import Summary
+from activefail.findings.summary import Summary, features_in_words
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
@@ -64,9 +64,9 @@ class Status:
             )
         }
         return {
-            "description": summary.settings.description,
+            "description": visible(summary.settings.description),
             "seed": summary.settings.seed,
-            "budget": summary.settings.budget,
+            "budget": summary.settings.sampling.budget,
             "simulations": summary.done,
             "iteration": summary.iteration,
             "counts": counts,
@@ -108,14 +108,15 @@ class Status:
         settings = self.summary.settings
         names = " and ".join(dict.fromkeys(f"the margin {visible(margin)}" for margin in margins if margin))
         if all(margins):
-            return f"regression of {names} on {settings.features} features"
+            return f"regression of {names} on {features_in_words(settings)} features"
         return f"regression of {names}, and {line}"
 
     @property
     def learned(self) -> list[tuple[str, str]]:
         """Titles and texts of where runs are lost, of what each boundary is learned from, and of its stop rule."""
         settings, lines = self.summary.settings, [("lost", self.summary.lost)] if self.summary.lost else []
-        candidate = candidate_of(self.summary.margins, settings.learns)
+        rule = settings.probability_rule
+        candidate = candidate_of(self.summary.margins, settings.classifier.learns)
         for choice in self._choices:
             outcome, margin, *_ = choice
             text = sentence(*choice)
@@ -124,7 +125,7 @@ class Status:
                     outcome, candidate, "it does not show on which side of the boundary a design lies"
                 )
             if text:
-                lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
+                lines.append(("learned", text + of_rule(outcome, margin, visible(rule.probability) if rule else "")))
         if self._rule_is_met:
             lines.append(("stop rule", "met"))
         return lines
@@ -185,9 +186,9 @@ class Status:
         """How to continue a campaign whose simulations are made elsewhere."""
         settings, folder, flight = self.summary.settings, quoted(self.folder), self.summary.in_flight
         lines = self._telling
-        if self.summary.done + len(flight) < settings.budget:
+        if self.summary.done + len(flight) < settings.sampling.budget:
             ignoring = " --ignore-stop" if self._rule_is_met else ""
-            lines.append(f"activefail ask {folder} --n {settings.batch} --csv todo.csv{ignoring}")
+            lines.append(f"activefail ask {folder} --n {settings.sampling.batch} --csv todo.csv{ignoring}")
         return [("continue" if number == 0 else "", line) for number, line in enumerate(lines)]
 
     @property
@@ -196,10 +197,10 @@ class Status:
         settings = self.summary.settings
         if settings.is_elsewhere:
             return self._asking
-        if self.summary.done + len(self.summary.in_flight) >= settings.budget:
+        if self.summary.done + len(self.summary.in_flight) >= settings.sampling.budget:
             return [("continue", text) for text in self._telling]
-        known = known_code(self.folder) if settings.custom_code else None
-        if settings.custom_code and known is None:
+        known = known_code(self.folder) if settings.needs_code else None
+        if settings.needs_code and known is None:
             # Not a command that could be pasted: nobody has named the folder yet.
             command = "with `activefail resume`; name the folder of the custom code with --code"
             ignoring = f"{command}, and add --ignore-stop"
@@ -235,29 +236,13 @@ def read_status(folder: Path) -> Status:
         StoreError: if the record cannot be read.
     """
     check_run_folder(folder)
-    try:
-        opened = FolderStore.open(folder, write=False)
-    except StoreError:
-        _check_settings(folder)
-        raise
-    with opened as store:
-        parts = store.schema, store.batches, store.asked, len(store.corrections.place)
-        try:
-            summary = Summary.of(store.settings, *parts)
-        except ValueError:
-            # An older version may have omitted settings that have defaults now.
-            summary = Summary.of(_check_settings(folder), *parts)
+    settings = read_settings(folder / SETTINGS)
+    with FolderStore.open(folder, write=False) as store:
+        summary = Summary.of(settings, store.schema, store.batches, store.asked, len(store.corrections.place))
         saved, iteration = store.latest_state(), summary.iteration
         state = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in store.schema.outcomes[1:]}
         estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
-        simulations = summary.settings.stop_simulations
-        looked = simulations is not None and first_part(name_of_look(iteration, simulations)) in store.set_names()
+        rule = settings.error_rule
+        looked = rule is not None and first_part(name_of_look(iteration, rule.simulations)) in store.set_names()
         return Status(folder, summary, store.new_warnings(), state, estimates, looked)
-
-
-def _check_settings(folder: Path) -> str:
-    """The settings of a run folder with all defaults; raises InputError, which says what is wrong with them."""
-    from activefail.campaign.on_disk import read_campaign
-
-    return read_campaign(folder / SETTINGS, run=folder, features=False, frozen=True).settings.text()

@@ -1,16 +1,20 @@
 """A summary of a campaign from its record, without importing the machine learning libraries."""
 
-import sys
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.boundaries import boundary_shares
-from activefail.files import check_dots
+from activefail.campaign.sections import (
+    CommandSimulatorSettings,
+    ExpressionFeaturesSettings,
+    PythonFeaturesSettings,
+    PythonSimulatorSettings,
+    Variable,
+)
+from activefail.campaign.settings import CampaignSettings
 from activefail.findings.lost import where_lost
 from activefail.record.asked import NO_ROW, Asked, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL, Batch, Schema
@@ -23,125 +27,25 @@ _IDS_SHOWN = 20
 """Most ids of designs in flight that `status` lists."""
 
 
-@dataclass(frozen=True)
-class SettingsInBrief:
-    """A campaign's settings in brief. All text is made visible, since a run folder may come from a stranger.
-
-    Attributes:
-        simulator: its name, "module:function", the command, or "elsewhere".
-        variables: number of variables.
-        initial: simulations of the initial design.
-        features: their name; or "variables", if included, with "module:function" or the names of expressions.
-        custom_code: whether the simulator or the features are user code.
-        stop_simulations: simulations of a look of the stop rule; None without a rule.
-        batch: simulations of a batch.
-        is_elsewhere: whether simulations are made elsewhere.
-        boundaries: share of each target boundary, by outcome.
-        learns: `classifier.learns`.
-        stop_outcome: outcome of the stop rule for a probability; empty without this rule.
-    """
-
-    description: str
-    simulator: str
-    seed: int
-    variables: int
-    initial: int
-    budget: int
-    kernel: str
-    features: str
-    criterion: str
-    boundaries: dict[str, float]
-    custom_code: bool = False
-    stop_simulations: int | None = None
-    batch: int = 1
-    is_elsewhere: bool = False
-    learns: str = "outcomes"
-    stop_outcome: str = ""
-
-    @classmethod
-    def of(cls, text: str) -> Self:
-        """The settings in brief of a frozen campaign.toml, which contains all defaults.
-
-        Raises:
-            ValueError: if the text is not such a file.
-        """
-        check_dots(text)
-        settings = tomllib.loads(text)
-        match settings:
-            case {
-                "description": str(description),
-                "simulator": (
-                    str(simulator)
-                    | {"python": str(simulator)}
-                    | {"command": str(simulator)}
-                    | {"elsewhere": True as simulator}
-                ),
-                "seed": int(seed),
-                "space": dict(space),
-                "sampling": {"initial": int(initial), "budget": int(budget), "batch": int(batch)},
-                "classifier": {
-                    "kernel": str(kernel),
-                    "features": (str() | {"python": str()} | {"expressions": dict()} as features),
-                },
-                "acquisition": {"criterion": str(criterion), "boundary": str() | dict() as boundary},
-            } if all(isinstance(one, dict) for one in space.values()) and _is_boundary(boundary):
-                return cls(
-                    visible(description),
-                    "elsewhere" if simulator is True else visible(simulator),
-                    seed,
-                    sum("value" not in variable for variable in space.values()),
-                    initial,
-                    budget,
-                    visible(kernel),
-                    visible(_features_in_words(features)),
-                    visible(criterion),
-                    {visible(name): share for name, share in boundary_shares(boundary).items()},
-                    (not isinstance(simulator, bool) and not isinstance(settings["simulator"], str))
-                    or (isinstance(features, dict) and "python" in features),
-                    _stop_simulations(settings.get("stop")),
-                    batch,
-                    simulator is True,
-                    visible(str(settings["classifier"].get("learns", "outcomes"))),
-                    _stop_outcome(settings.get("stop")),
-                )
-            case _:
-                raise ValueError("The settings must be those of a campaign, with every default written out.")
-
-
-def _stop_simulations(rule: object) -> int | None:
-    match rule:
-        case {"simulations": int(simulations)}:
-            return simulations
+def simulator_in_words(settings: CampaignSettings) -> str:
+    """The simulator's name, "module:function", the command, or "elsewhere"."""
+    match settings.simulator:
+        case PythonSimulatorSettings(python=name) | CommandSimulatorSettings(command=name) | str(name):
+            return visible(name)
         case _:
-            return None
+            return "elsewhere"
 
 
-def _stop_outcome(rule: object) -> str:
-    match rule:
-        case {"probability": str(outcome)}:
-            return visible(outcome)
-        case _:
-            return ""
-
-
-def _features_in_words(features: str | dict[str, Any]) -> str:
-    if isinstance(features, str):
-        return features
-    match features:
-        case {"python": str(reference)}:
+def features_in_words(settings: CampaignSettings) -> str:
+    """The features' name; or "variables", if included, with "module:function" or the names of expressions."""
+    match settings.classifier.features:
+        case str(name):
+            return name
+        case PythonFeaturesSettings(python=reference, variables=included):
             names = [reference]
-        case {"expressions": dict(expressions)}:
+        case ExpressionFeaturesSettings(expressions=expressions, variables=included):
             names = list(expressions)
-        case _:
-            names = []
-    return ", ".join((["variables"] if features.get("variables", True) else []) + names)
-
-
-def _is_boundary(boundary: str | dict[str, Any]) -> bool:
-    if isinstance(boundary, str):
-        return True
-    weights = boundary.values()
-    return bool(weights) and all(isinstance(one, int | float) and 0.0 < one <= sys.float_info.max for one in weights)
+    return visible(", ".join((["variables"] if included else []) + names))
 
 
 def _corrections_in_words(number: int) -> str:
@@ -164,7 +68,7 @@ class Summary:
         lost: where runs gave no result; empty if all gave one.
     """
 
-    settings: SettingsInBrief
+    settings: CampaignSettings
     outcomes: tuple[str, ...]
     iteration: int
     initial: NDArray[np.int64]
@@ -190,16 +94,21 @@ class Summary:
         """Titles and texts that `activefail status` prints."""
         settings = self.settings
         targets = " and ".join(
-            f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
-            for name, share in settings.boundaries.items()
+            f"the {visible(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
+            for name, share in settings.acquisition.boundaries.items()
         )
-        done = f"{self.done} of {settings.budget} simulations"
-        if self.done > settings.budget:
-            done = f"{self.done} simulations, {settings.budget} planned"
+        done = f"{self.done} of {settings.sampling.budget} simulations"
+        if self.done > settings.sampling.budget:
+            done = f"{self.done} simulations, {settings.sampling.budget} planned"
         names = (*self.outcomes, "numerical failures")
+        variables = sum(isinstance(one, Variable) for one in settings.space.values())
         return [
-            ("simulator", f"{settings.simulator}, {settings.variables} variables, seed {settings.seed}"),
-            ("learner", f"{settings.kernel} on {settings.features} features, {settings.criterion} at {targets}"),
+            ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
+            (
+                "learner",
+                f"{settings.classifier.kernel} on {features_in_words(settings)} features, "
+                f"{settings.acquisition.criterion} at {targets}",
+            ),
             ("done", f"{done}, iteration {self.iteration}"),
             *(
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
@@ -232,22 +141,26 @@ class Summary:
         return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
-    def of(cls, settings: str, schema: Schema, batches: Sequence[Batch], asked: Asked, corrected: int = 0) -> Self:
+    def of(
+        cls,
+        settings: CampaignSettings,
+        schema: Schema,
+        batches: Sequence[Batch],
+        asked: Asked,
+        corrected: int = 0,
+    ) -> Self:
         """The summary of a campaign's batches and the designs that were handed out.
 
         Args:
-            settings: TOML with all defaults.
+            settings: of the campaign.
             schema, batches, asked: of the record.
             corrected: number of its corrections.
-
-        Raises:
-            ValueError: if the settings are not those of a campaign.
         """
         none = np.empty(0, dtype=np.int8)
         outcome = np.concatenate([none, *(batch.results.outcome for batch in batches)])
         origin = np.concatenate([none, *(batch.origin for batch in batches)])
         return cls(
-            SettingsInBrief.of(settings),
+            settings,
             _shown(schema.outcomes),
             batches[-1].iteration if batches else 0,
             *_by_origin(outcome, origin, len(schema.outcomes)),

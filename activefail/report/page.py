@@ -33,7 +33,7 @@ from activefail.findings.lost import where_lost
 from activefail.findings.prediction import information, predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
-from activefail.findings.summary import SettingsInBrief, Summary
+from activefail.findings.summary import Summary, features_in_words, simulator_in_words
 from activefail.loop.progress import standing
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
@@ -357,7 +357,6 @@ def render(
     campaign, folder = findings.campaign, findings.folder
     text = (folder / SETTINGS).read_text(encoding="utf-8")
     settings, outcomes = campaign.settings, campaign.simulator.outcomes
-    brief = SettingsInBrief.of(settings.text())
     done = standing(campaign, store.batches, 0).done
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
@@ -371,8 +370,8 @@ def render(
         "title": visible(settings.description or folder.name),
         "version": __version__,
         "settings": settings,
-        "simulator": brief.simulator,
-        "features": brief.features,
+        "simulator": simulator_in_words(settings),
+        "features": features_in_words(settings),
         "learner": _learner(findings),
         "error": evidence.error,
         "expected": findings.expected,
@@ -399,7 +398,7 @@ def render(
         "beyond": findings.beyond,
         "missing": evidence.missing,
         "done": done,
-        "unseen": Summary.of(settings.text(), campaign.schema, store.batches, store.asked).unseen_warning,
+        "unseen": Summary.of(settings, campaign.schema, store.batches, store.asked).unseen_warning,
         "left": left,
         "folder": run_folder,
         "continues": continues,

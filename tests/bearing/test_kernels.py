@@ -11,36 +11,31 @@ from numba import njit
 from numba.core import config
 
 import activefail
-from activefail.bearing.kernels import compiler_options, kept_kernels, sources_digest
-
-
-def kept(package: Path) -> Path:
-    with kept_kernels(package):
-        return Path(config.CACHE_DIR)
+from activefail.bearing.kernels import compiler_options, folder_of_kernels, kept_kernels, physics_digest
 
 
 def test_kernels_of_earlier_sources_are_deleted_and_those_of_the_present_sources_stay(tmp_path: Path) -> None:
     source = tmp_path / "contact.py"
     source.write_text("x")
-    kernel = kept(tmp_path) / "bearing_1" / "contact.f-1.1.nbc"
+    kernel = folder_of_kernels(tmp_path) / "bearing_1" / "contact.f-1.1.nbc"
     kernel.parent.mkdir(parents=True)
     kernel.write_bytes(b"x")
-    assert kept(tmp_path) in kernel.parents
+    assert folder_of_kernels(tmp_path) in kernel.parents
     assert kernel.exists()
     source.write_text("y")
-    assert kept(tmp_path) not in kernel.parents
+    assert folder_of_kernels(tmp_path) not in kernel.parents
     assert not kernel.exists()
 
 
 def test_kernels_compiled_under_other_options_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "contact.py").write_text("x")
-    folders = {kept(tmp_path)}
+    folders = {folder_of_kernels(tmp_path)}
     assert compiler_options() == "defaults"
     for name, value in (("OPT", 0), ("SLP_VECTORIZE", 1), ("CPU_NAME", "generic"), ("DEBUGINFO_DEFAULT", 1)):
         with monkeypatch.context() as patched:
             patched.setattr(config, name, value)
             assert compiler_options() == f"NUMBA_{name}={value}"
-            folders.add(kept(tmp_path))
+            folders.add(folder_of_kernels(tmp_path))
     assert len(folders) == 5
 
 
@@ -85,16 +80,21 @@ def test_the_environment_selects_the_kernels_and_is_recorded(another_cache: tupl
     assert len(list(folder.rglob("pulse.ground_acceleration*.nbi"))) == 3
 
 
-def test_the_digest_changes_with_a_source(tmp_path):
-    (tmp_path / "contact.py").write_text("x")
-    before = sources_digest(tmp_path)
-    (tmp_path / "contact.py").write_text("y")
-    assert sources_digest(tmp_path) != before
+def test_the_digest_of_the_physics_changes_with_the_syntax_and_not_with_words(tmp_path: Path) -> None:
+    def digest(code: str) -> str:
+        (tmp_path / "contact.py").write_text(code)
+        physics_digest.cache_clear()
+        return physics_digest(tmp_path)
+
+    before = digest('"""Forces."""\n\ndef force(x: float) -> float:\n    """A force."""\n    return 2.0 * x\n')
+    assert digest("def force(x: float) -> float:  # in newtons\n    return 2.0 * (x)\n") == before
+    for changed in ("2.0 * y", "3.0 * x", "2.0 + x"):
+        assert digest(f"def force(x: float) -> float:\n    return {changed}\n") != before
 
 
 def test_kernels_in_another_cache_are_kept_by_the_sources_digest(another_cache: tuple[Path, list[str]]) -> None:
     folder, _ = another_cache
-    assert [path.name for path in folder.iterdir()] == [f"kernels-{sources_digest()[:16]}"]
+    assert [path.name for path in folder.iterdir()] == [folder_of_kernels().parent.name]
     assert list(folder.rglob("pulse.ground_acceleration*.nbi"))
 
 
@@ -113,16 +113,13 @@ def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
 
 
 ON_A_COPY = """
-from numba import njit
-from activefail.bearing.kernels import KERNEL, kept_kernels
+from activefail.bearing.kernels import KERNEL, kernel
+from activefail.bearing.pulse import ground_acceleration
 
-with kept_kernels():
-    # `pulse` is compiled into a kernel of another file.
-    from activefail.bearing.pulse import ground_acceleration
-
-    @njit(cache=True, **KERNEL)
-    def twice(t):
-        return 2.0 * ground_acceleration(t, 1.0, 1.0)
+# `pulse` is compiled into a kernel of another file.
+@kernel(**KERNEL)
+def twice(t):
+    return 2.0 * ground_acceleration(t, 1.0, 1.0)
 
 print(twice(0.1), sum(twice.stats.cache_hits.values()))
 """
@@ -191,7 +188,7 @@ def test_the_simulator_says_when_it_is_compiled_and_only_then(tmp_path: Path, ca
         return x + 1.0
 
     for messages in (1, 1):  # the second time it is kept
-        with kept_kernels(tmp_path):
+        with kept_kernels(folder_of_kernels(tmp_path)):
             kernel = njit(cache=True)(integrate)
         assert kernel(2.0) == 3.0
         assert caplog.messages == ["compiling the simulator, once; this takes some 20 s"] * messages
@@ -200,7 +197,7 @@ def test_the_simulator_says_when_it_is_compiled_and_only_then(tmp_path: Path, ca
 @pytest.mark.faults
 def test_a_kernel_that_cannot_be_saved_is_compiled_and_runs(tmp_path: Path) -> None:
     (tmp_path / "contact.py").write_text("x")
-    with kept_kernels(tmp_path):
+    with kept_kernels(folder_of_kernels(tmp_path)):
 
         @njit(cache=True)
         def square(x):  # type: ignore[no-untyped-def]

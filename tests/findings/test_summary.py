@@ -14,7 +14,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import ActivefailError
 from activefail.execution.local import ThreadExecutor
 from activefail.findings.status import read_status
-from activefail.findings.summary import SettingsInBrief
+from activefail.findings.summary import features_in_words
 from activefail.loop.batches import run
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.run_folder import FolderStore
@@ -103,6 +103,5 @@ def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
 )
 def test_the_settings_in_brief_name_all_that_the_classifier_sees(features: str, words: str) -> None:
     settings = parse_settings(f"classifier.features = {features}", "test")
-    brief = SettingsInBrief.of(settings.text())
-    assert brief.features == words
-    assert brief.custom_code == ("python" in features)
+    assert features_in_words(settings) == words
+    assert settings.needs_code == ("python" in features)
