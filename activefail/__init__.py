@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     )
     from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
     from activefail.opening import create_run, open_run
-    from activefail.risk.ida.calculation import ida, ida_of_campaign
+    from activefail.requests import hazard, ida
     from activefail.risk.ida.p695 import MarginRequest
-    from activefail.risk.ida.simulations import campaign_under_records
     from activefail.run import Run
 
 __version__ = "0.2.0"
@@ -46,10 +45,9 @@ __all__ = [
     "SimulationError",
     "StoreError",
     "Tolerance",
-    "campaign_under_records",
     "create_run",
+    "hazard",
     "ida",
-    "ida_of_campaign",
     "open_run",
     "read_accelerogram",
     "read_record_set",
@@ -63,9 +61,8 @@ _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "Sto
 _MODULES = {
     "read_accelerogram": "accelerogram_files",
     **dict.fromkeys(("RecordSet", "SetRecord", "read_record_set"), "accelerogram_sets"),
-    **dict.fromkeys(("ida", "ida_of_campaign"), "risk.ida.calculation"),
+    **dict.fromkeys(("hazard", "ida"), "requests"),
     "MarginRequest": "risk.ida.p695",
-    "campaign_under_records": "risk.ida.simulations",
     "Run": "run",
     "create_run": "opening",
     "open_run": "opening",

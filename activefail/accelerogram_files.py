@@ -10,7 +10,7 @@ import numpy as np
 
 from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.files import read_regular
 from activefail.visible import visible
 
@@ -67,12 +67,10 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None 
     # The mark of UTF-8 before the first number would make its line a header.
     text = data.removeprefix(codecs.BOM_UTF8).decode("latin-1")
     lines = text.splitlines()
-    try:
+    with naming(f"{visible(str(path))}: "):
         is_at2 = re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE)
         values, interval = _of_at2(lines, unit, dt) if is_at2 else _of_columns(lines, dt)
         return Accelerogram(UNITS[unit] * values, interval, path.stem)
-    except InputError as error:
-        raise InputError(f"{visible(str(path))}: {error}") from None
 
 
 def doubts(record: Accelerogram) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from activefail.accelerogram_files import UNITS, doubts, read_accelerogram
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.files import read_regular
 from activefail.visible import visible
 
@@ -170,10 +170,8 @@ def _with_vertical(
     if not name:
         raise InputError(f"{place}: --vertical requires the file of the vertical component (column `vertical`).")
     component = read_accelerogram(folder / name, unit, dt)
-    try:
+    with naming(f"{visible(str(folder / name))}: "):
         return motion.with_vertical(component)
-    except InputError as error:
-        raise InputError(f"{visible(str(folder / name))}: {error}") from None
 
 
 def _p695(name: str) -> RecordSet:

@@ -5,6 +5,8 @@ import resource
 import signal
 import sysconfig
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -34,6 +36,15 @@ class SyncError(StoreError):
 
 class SimulationError(ActivefailError):
     """The simulations failed: too many numerical failures, or workers that cannot run."""
+
+
+@contextmanager
+def naming(place: str) -> Iterator[None]:
+    """Begin the text of an InputError with its place, such as "site.toml: " or "question."."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}{error}") from None
 
 
 def reason_of(error: OSError) -> str:

@@ -24,6 +24,22 @@ _NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 """The system's errors where a folder cannot be synchronised, whatever the disk."""
 
 
+def as_path(file: Any) -> Any:
+    """The path that a string or another library's path names; anything else is returned unchanged."""
+    return Path(os.fsdecode(file)) if isinstance(file, str | os.PathLike) else file
+
+
+def path_of(name: str, file: Any) -> Path:
+    """A file in an argument.
+
+    Raises:
+        InputError: if it is no path.
+    """
+    if not isinstance(file := as_path(file), Path):
+        raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
+    return file
+
+
 def temporary_next_to(path: Path, prefix: str = TEMPORARY) -> Path:
     """A new name in the folder of a path; short, because the path's name may have the maximal length."""
     return path.with_name(f"{prefix}{secrets.token_hex(8)}")

@@ -4,8 +4,9 @@ The command line (`cli/analyses.py`), the methods of `Run` and the reference pag
 """
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
+from importlib import import_module
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -13,11 +14,13 @@ from typing import (
     ClassVar,
     Concatenate,
     Generic,
+    Literal,
     NamedTuple,
     ParamSpec,
     Protocol,
     TypeVar,
     get_args,
+    get_origin,
 )
 
 from activefail.arguments import check_whole
@@ -59,9 +62,12 @@ class Option(NamedTuple):
         kind: type of its words on the command line.
         low, high: its least and largest value; None without a limit.
         names: on the command line, if they are not the field's.
+        is_argument: whether the command line takes it by its place, without a name.
         metavar: what stands for its value there, if it is not the type.
         parse: makes the value of a word.
         with_out: whether it is for the pages alone, and so off without `--out`.
+        default: of a shared declaration.
+        parts: if the value is an object: the options of the command line that make it, by the names of its arguments.
     """
 
     help: str
@@ -69,14 +75,27 @@ class Option(NamedTuple):
     low: float | None = None
     high: float | None = None
     names: tuple[str, ...] = ()
+    is_argument: bool = False
     metavar: str | None = None
     parse: Callable[[str], Any] | None = None
     with_out: bool = False
+    default: Any = None
+    parts: Mapping[str, "Option"] = {}
+
+    def value(self, words: Mapping[str, Any]) -> Any:
+        """The object with these words for its parts. Its class is loaded only now, because it may need libraries."""
+        module, name = self.kind.split(":")
+        return getattr(import_module(module), name)(**{name: words[name] for name in self.parts})
+
+
+def declared(of: Option) -> Any:
+    """A field of a request with this declaration, which others share."""
+    return field(default=of.default, metadata={"option": of})
 
 
 def option(default: Any, help: str, kind: Any = None, **more: Any) -> Any:
     """A field of a request that is an option (see `Option`); without a default it is required."""
-    return field(default=default, metadata={"option": Option(help, kind or type(default), **more)})
+    return declared(Option(help, kind or type(default), default=default, **more))
 
 
 REQUIRED: Any = MISSING
@@ -85,7 +104,7 @@ REQUIRED: Any = MISSING
 
 @dataclass(frozen=True)
 class Request(Generic[F_co]):
-    """A question to a run folder.
+    """A question, to a run folder unless `of_run` says otherwise.
 
     Attributes:
         executor: runs fresh simulations; all cores of this machine by default.
@@ -100,7 +119,10 @@ class Request(Generic[F_co]):
     stage: Stage = field(default=silent, kw_only=True, repr=False)
     begin: Begin = field(default=uncounted, kw_only=True, repr=False)
 
-    records: ClassVar[bool] = True
+    of_run: ClassVar[Option | None] = None
+    """What the run folder is for, if the question has an answer without one."""
+
+    writes: ClassVar[bool] = True
     """Whether it simulates or saves, so that the run folder is opened for writing."""
 
     table: ClassVar[str] = ""
@@ -116,8 +138,11 @@ class Request(Generic[F_co]):
         for one, declared in options(type(self)):
             _check(one.name, getattr(self, one.name), declared)
 
-    def answer(self, run: "Run") -> F_co:
+    def answer(self, run: Any) -> F_co:
         """The findings.
+
+        Args:
+            run: the open run folder, a `Run`; None if the question has an answer without one.
 
         Raises:
             InputError: if an option is invalid for this run, or its initial design is not finished.
@@ -127,7 +152,7 @@ class Request(Generic[F_co]):
     def write_table(self, findings: Any, target: Target) -> None:
         """Write the table of `--csv`."""
 
-    def write_pages(self, findings: Any, run: "Run", out: Path) -> list[Path]:
+    def write_pages(self, findings: Any, run: Any, out: Path) -> list[Path]:
         """Write the files of `--out` into a folder; returns them."""
         return []
 
@@ -138,6 +163,8 @@ def options(request: type[Request[Any]]) -> list[tuple[Field[Any], Option]]:
 
 
 def _check(name: str, value: Any, declared: Option) -> None:
+    if get_origin(declared.kind) is Literal and value not in (words := get_args(declared.kind)):
+        raise InputError(f"{name}: must be {' or '.join(words)}, got {value!r}.")
     if value is None or declared.kind not in (int, float):
         return
     if declared.kind is int:
@@ -156,15 +183,31 @@ def method_of(name: str, request: Callable[P, Request[F]]) -> "Callable[Concaten
     def method(run: "Run", /, *arguments: P.args, **keywords: P.kwargs) -> F:
         return request(*arguments, **keywords).answer(run)
 
-    assert isinstance(request, type)
     itself = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    signature = inspect.signature(request)
-    method.__name__, method.__qualname__, method.__doc__ = name, f"Run.{name}", _docstring(request)
-    (findings,) = get_args(request.__orig_bases__[0])  # type: ignore[attr-defined]
-    method.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[itself, *signature.parameters.values()], return_annotation=findings.__forward_arg__
-    )
+    _declare(method, f"Run.{name}", request, [itself], [])
     return method
+
+
+def function_of(name: str, request: Callable[..., Request[F]]) -> Callable[..., F]:
+    """The function that asks without a run folder, or with one as the argument `run`."""
+
+    def function(*arguments: Any, run: "Run | None" = None, **keywords: Any) -> F:
+        return request(*arguments, **keywords).answer(run)
+
+    folder = inspect.Parameter("run", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Run | None")
+    _declare(function, name, request, [], [folder])
+    return function
+
+
+def _declare(
+    function: Any, name: str, request: Any, before: list[inspect.Parameter], after: list[inspect.Parameter]
+) -> None:
+    """Give a function the signature and the docstring of a request."""
+    signature = inspect.signature(request)
+    function.__name__, function.__qualname__, function.__doc__ = name.rpartition(".")[2], name, _docstring(request)
+    (findings,) = get_args(request.__orig_bases__[0])
+    parameters = [*before, *signature.parameters.values(), *after]
+    function.__signature__ = signature.replace(parameters=parameters, return_annotation=findings.__forward_arg__)
 
 
 def _docstring(request: type[Request[Any]]) -> str:
@@ -172,6 +215,8 @@ def _docstring(request: type[Request[Any]]) -> str:
     common = (Request.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
     shared = "\n".join(line[4:] for line in common.splitlines())
     raises = "Raises:\n    InputError: if an option is invalid, or the initial design is not finished."
+    if request.of_run is not None:
+        declared += f"\n    run: {_lowered(request.of_run.help)}"
     return f"{inspect.cleandoc(request.__doc__ or '')}\n\nArgs:\n{declared}\n{shared}\n\n{raises}\n"
 
 

@@ -6,14 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from activefail.arguments import names_of, site_and_question
+from activefail.arguments import executor_named, names_of
 from activefail.csv_table import Target
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
+from activefail.files import path_of
 from activefail.progress import Stage, silent
-from activefail.request import REQUIRED, Request, option
+from activefail.request import REQUIRED, Option, Request, declared, function_of, option
 from activefail.surrogate.threads import one_thread
+from activefail.visible import visible
 
 if TYPE_CHECKING:
+    from activefail.accelerogram_sets import RecordSet
+    from activefail.bearing.design import Model, Tolerance
     from activefail.campaign.hazard import Hazard
     from activefail.campaign.question import Question
     from activefail.execution.executor import Executor
@@ -21,6 +25,11 @@ if TYPE_CHECKING:
     from activefail.findings.probability import ProbabilityFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
+    from activefail.risk.hazard_summary import HazardSummary
+    from activefail.risk.ida.findings import IdaFindings
+    from activefail.risk.ida.intensity import Intensity
+    from activefail.risk.ida.p695 import MarginRequest
+    from activefail.risk.ida.simulations import Values
     from activefail.risk.sensitivity.findings import SensitivityFindings
     from activefail.run import Run
     from activefail.verification.probability_estimator import Estimator
@@ -30,20 +39,66 @@ HAZARD = "Hazard file (docs/hazard.md)"
 QUESTION = "File with other distributions of the variables (docs/probability.md)"
 TARGET_BOUNDARY = "Default: the outcome of the target boundary."
 
+MODEL = Option(
+    "Choices of the bearing model.",
+    "activefail.bearing.design:Model",
+    parts={
+        "slider_diameter": Option("Slider diameter D_sl [m].", float, default=0.30),
+        "restitution_coefficient": Option("Coefficient of restitution of the contacts.", float, default=0.65),
+        "slider_density": Option("Density of the slider [kg/m³].", float, default=7850.0),
+        "loss_of_confinement": Option(
+            "Count the bearing as failed once no rim restrains the slider.", bool, default=True
+        ),
+        "restitution": Option("Mass that sets the contact damping: pairwise or assembly.", str, default="pairwise"),
+        "friction_velocity": Option("Velocity over which friction is regularised [m/s].", float, default=1e-3),
+    },
+)
+TOLERANCE = Option(
+    "Accuracy of the integration.",
+    "activefail.bearing.design:Tolerance",
+    parts={"relative": Option("Relative tolerance of the integration.", float, names=("--tolerance",), default=1e-4)},
+)
+
+
+MARGIN = Option(
+    "Collapse margin of FEMA P695.",
+    "activefail.risk.ida.p695:MarginRequest",
+    parts={
+        "mce": Option(
+            "Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695.", float
+        ),
+        "ssf": Option("Spectral shape factor of FEMA P695, with --mce; 1 by default.", float),
+        "sdc": Option(
+            "Seismic design category (dmax, dmin, cmax, cmin, bmax, bmin), to compute the shape factor and --mce; "
+            "requires --scale-to p695.",
+            str,
+        ),
+        "ductility": Option("Period-based ductility of FEMA P695, for --sdc and --ratings.", float),
+        "beta_total": Option("Total dispersion β, with --mce; 0.5 by default.", float),
+        "ratings": Option(
+            "Ratings A to D of design requirements, test data and model, such as B,B,C, to compute β.", str
+        ),
+    },
+)
+
+WORKERS = Option("Parallel simulations; all cores by default.", int, low=1)
+EXECUTOR = Option(
+    "Where simulations run: this machine, or a Dask cluster.",
+    Literal["local", "dask"],
+    names=("--executor",),
+    default="local",
+)
+SCHEDULER = Option("Address of the Dask cluster, such as tcp://head:8786.", str, metavar="ADDRESS")
+FIXED = Option(
+    "TOML file with values of variables, such as T_b = 4.0; in Python also values by name.",
+    Path,
+    names=("--fixed", "--bearing"),
+)
+
 
 def confidence(default: float, of: str = "of the intervals") -> Any:
     """The option `confidence`."""
     return option(default, f"Confidence {of}.", low=0.5, high=0.999)
-
-
-def fixed_values() -> Any:
-    """The option `fixed`."""
-    return option(
-        None,
-        "TOML file with values of variables, such as T_b = 4.0; in Python also values by name.",
-        Path,
-        names=("--fixed", "--bearing"),
-    )
 
 
 def _names(text: str) -> list[str]:
@@ -96,13 +151,14 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
     hazard: "Hazard | Path | str | None" = option(
         None, "Hazard file; the distribution is that of its pulses (docs/hazard.md).", Path
     )
-    fixed: "Mapping[str, float] | Path | str | None" = fixed_values()
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
 
     def answer(self, run: "Run") -> "ProbabilityFindings":
+        from activefail.campaign.inquiry import Inquiry
         from activefail.findings.probability import ProbabilityFindings
 
         outcome = run._boundary_named(self.outcome)
-        _, asked = site_and_question(run.campaign, self.hazard, self.question, self.fixed)
+        asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed).question
         with estimating(run, self.executor, self.stage) as estimator:
             sample = estimator.sample(outcome, self.simulations, asked, checks=True)
             findings = ProbabilityFindings.of(
@@ -123,7 +179,7 @@ class FragilityRequest(Request["FragilityFindings"]):
     hazard: "Hazard | Path | str | None" = option(
         None, "Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", Path
     )
-    fixed: "Mapping[str, float] | Path | str | None" = fixed_values()
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
     intensity: Literal["pgv", "a_p"] = option(
         "pgv", "With --hazard: peak ground velocity, or amplitude of the pulses.", Literal["pgv", "a_p"]
     )
@@ -145,19 +201,22 @@ class FragilityRequest(Request["FragilityFindings"]):
     )
 
     def answer(self, run: "Run") -> "FragilityFindings":
-        from activefail.campaign.question_files import check_designs_of
-        from activefail.risk.fragility.calculation import checked_ladder, fragility
+        from activefail.campaign.inquiry import Inquiry, check_designs_of
+        from activefail.risk.fragility.band import LEAST
+        from activefail.risk.fragility.calculation import fragility
+        from activefail.risk.fragility.levels import ladder_of
 
-        outcome, campaign = run._boundary_named(self.outcome), run.campaign
-        site, asked = site_and_question(campaign, self.hazard, self.question, self.fixed)
-        ladder = checked_ladder(site, asked, run.space, self.intensity, self.against, self.bounds, self.verify)
-        if self.against is not None:
-            for end in self.bounds or ():
-                check_designs_of(asked.at({self.against: end}), campaign.simulator, "bounds (--range)")
+        outcome = run._boundary_named(self.outcome)
+        asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed)
+        ladder = ladder_of(asked, self.intensity, self.against, self.bounds)
+        if 0 < self.verify < LEAST:
+            raise InputError(f"verify: must be at least {LEAST}, got {self.verify}.")
+        if self.bounds is not None:
+            for end in ladder.levels[[0, -1]].tolist():
+                question = asked.question.at({ladder.name: end})
+                check_designs_of(question, run.campaign.simulator, "bounds (--range)")
         with estimating(run, self.executor, self.stage, bool(self.verify)) as estimator:
-            return fragility(
-                estimator, site, asked, self.intensity, ladder, outcome, self.verify, self.confidence, self.stage
-            )
+            return fragility(estimator, asked, ladder, outcome, self.verify, self.confidence, self.stage)
 
     def write_table(self, findings: "FragilityFindings", target: Target) -> None:
         from activefail.risk.fragility.curve_files import write_curves
@@ -189,7 +248,7 @@ class DesignRequest(Request["DesignFindings"]):
     question: "Question | Path | str | None" = option(
         None, "Question file instead of a hazard (docs/probability.md).", Path
     )
-    fixed: "Mapping[str, float] | Path | str | None" = fixed_values()
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
     free: "Sequence[str]" = option((), "Variables to design, such as D_tot,mu; D_tot by default.", str, parse=_names)
     cost: str = option(
         "", "Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default."
@@ -203,20 +262,21 @@ class DesignRequest(Request["DesignFindings"]):
     pages: ClassVar = "Folder for the page design.html, its pictures, and design.json and design.toml."
 
     def answer(self, run: "Run") -> "DesignFindings":
+        from activefail.campaign.inquiry import Inquiry
         from activefail.risk.design.calculation import search_design
         from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
         from activefail.risk.design.risk_target import at_risk
 
         campaign, names = run.campaign, names_of("free", self.free)
         requirements = read_targets(str(self.target), campaign.simulator.outcomes, run.boundary)
-        site, asked = site_and_question(campaign, self.hazard, self.question, self.fixed, names or (DEFAULT_FREE,))
-        rate = None
+        free, rate = names or (DEFAULT_FREE,), None
+        asked = Inquiry.of(campaign, self.hazard, self.question, self.fixed, free)
         if any(one.years is not None for one in requirements):
-            site, requirements, rate = at_risk(site, requirements)
-            site, asked = site_and_question(campaign, site, None, self.fixed, names or (DEFAULT_FREE,))
-        task = design_task(campaign, asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
+            site, requirements, rate = at_risk(asked.hazard, requirements)
+            asked = Inquiry.of_hazard(campaign, site, asked.fixed, free)
+        task = design_task(asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
         with estimating(run, self.executor, self.stage) as estimator:
-            findings = search_design(estimator, task, site, self.chart, self.stage)
+            findings = search_design(estimator, task, self.chart, self.stage)
         run._save_design(findings)
         return findings
 
@@ -237,7 +297,7 @@ class SensitivityRequest(Request["SensitivityFindings"]):
         None, "Hazard file (docs/hazard.md); the sensitivity of a design's probability, averaged over the pulses.", Path
     )
     question: "Question | Path | str | None" = option(None, f"{QUESTION}.", Path)
-    fixed: "Mapping[str, float] | Path | str | None" = fixed_values()
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
     outcome: str | None = option(None, f"Outcome whose probability is explained. {TARGET_BOUNDARY}", str)
     samples: int | None = option(
         None,
@@ -247,24 +307,22 @@ class SensitivityRequest(Request["SensitivityFindings"]):
     )
     confidence: float = confidence(0.95)
 
-    records: ClassVar = False
+    writes: ClassVar = False
     counts: ClassVar = "evaluating"
     table: ClassVar = "CSV table to write; - is standard output."
     pages: ClassVar = "Folder for a page with pictures."
 
     def answer(self, run: "Run") -> "SensitivityFindings":
+        from activefail.campaign.inquiry import Inquiry
         from activefail.paper.p_values import variable_p_values
         from activefail.risk.sensitivity.calculation import sensitivity
 
         outcome = run._boundary_named(self.outcome)
-        site, asked = site_and_question(run.campaign, self.hazard, self.question, self.fixed, run.space.names)
+        asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed, run.space.names)
         with one_thread():
-            found = sensitivity(
-                run.campaign, run.classifier, outcome, site or asked, run.fixed_values(self.fixed), self.samples,
-                self.confidence, self.begin,
-            )  # fmt: skip
             severity = run.campaign.simulator.outcomes.index(outcome)
-            return found.with_p_values(variable_p_values(run.space, run.history, severity))
+            p_values = variable_p_values(run.space, run.history, severity)
+            return sensitivity(asked, run.classifier, outcome, p_values, self.samples, self.confidence, self.begin)
 
     def write_table(self, findings: "SensitivityFindings", target: Target) -> None:
         from activefail.risk.sensitivity.findings import write_csv
@@ -275,6 +333,168 @@ class SensitivityRequest(Request["SensitivityFindings"]):
         from activefail.report.sensitivity import write_sensitivity
 
         return write_sensitivity(findings, run.campaign, out)
+
+
+@dataclass(frozen=True)
+class IdaRequest(Request["IdaFindings"]):
+    """Find the intensity at which a bearing fails, for each record.
+
+    The intensities give a fragility curve.
+    """
+
+    bearing: "Values" = option(
+        REQUIRED,
+        "TOML file with the bearing: T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k. With --simulator: the campaign's "
+        "variables. In Python also the values, in this order or by name.",
+        Path,
+    )
+    records: "RecordSet | Path | str" = option(
+        REQUIRED,
+        "Folder of records (docs/records.md); or farfield, nearfield, nearfield-pulse or nearfield-no-pulse of FEMA "
+        "P695.",
+        Path,
+    )
+    scale_to: "Intensity | str" = option(
+        "pgv",
+        "Intensity of the levels: factor, pga [g], pgv [m/s], sa:T [g] at a period [s], or p695, one factor for all "
+        "records, by their S_T(T_b) [g].",
+    )
+    outcome: str | None = option(
+        None,
+        "Outcome that is sought, or a worse one: failure, impact, or one of the campaign's. Default: the most severe.",
+        str,
+    )
+    to: float | None = option(
+        None, "Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa), 12 S_NRT (p695).", float
+    )
+    margin: "MarginRequest | None" = declared(MARGIN)
+    pulses: bool = option(False, "Compare each record with the pulse nearest to it.", names=("--pulses",))
+    unit: str | None = option(None, "Unit of records without one: g, m/s2 or cm/s2.", str)
+    dt: float | None = option(None, "Interval of records without times [s].", float)
+    vertical: bool = option(
+        False, "Use the vertical components that records.csv names (docs/records.md).", names=("--vertical",)
+    )
+    simulator: Path | str | None = option(
+        None,
+        "Campaign file under records, such as building_records, whose simulator replaces the bearing model; activefail "
+        "executes its code.",
+        Path,
+        metavar="CAMPAIGN.toml",
+    )
+    model: "Model | None" = declared(MODEL)
+    tolerance: "Tolerance | None" = declared(TOLERANCE)
+    workers: int | None = declared(WORKERS)
+    where: Literal["local", "dask"] = declared(EXECUTOR)
+    scheduler: str | None = declared(SCHEDULER)
+    folder: Path | str | None = option(
+        None, "Folder that keeps the simulations, so that the same analysis continues.", Path, with_out=True
+    )
+
+    writes: ClassVar = False
+    of_run: ClassVar = Option(
+        "Run folder of a campaign under pulses: with --pulses, its classifier predicts each level.",
+        Path,
+        names=("--campaign",),
+    )
+    counts: ClassVar = "simulating"
+    pages: ClassVar = (
+        "Folder for ida.json, ida.csv, ida.png, ida.svg, and the simulations, so that the same command continues after "
+        "an interruption."
+    )
+
+    def answer(self, run: "Run | None" = None) -> "IdaFindings":
+        from activefail.accelerogram_sets import RecordSet, read_record_set
+        from activefail.bearing.design import Model, Tolerance
+        from activefail.risk.ida.calculation import analysis
+        from activefail.risk.ida.intensity import Intensity
+        from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, campaign_of, values_under_records
+
+        if run is not None and not self.pulses:
+            raise InputError(
+                "--campaign requires --pulses: a campaign's classifier predicts outcomes under pulses, not under "
+                "records."
+            )
+        if self.simulator is None and (self.where != "local" or self.scheduler is not None):
+            raise InputError("--executor and --scheduler require --simulator; the bearing model runs in threads.")
+        for name in ("vertical", "pulses"):
+            if self.simulator is not None and getattr(self, name):
+                raise InputError(f"--simulator cannot be combined with --{name}.")
+        model, tolerance = self.model or Model(), self.tolerance or Tolerance()
+        if self.simulator is not None and (model, tolerance) != (Model(), Tolerance()):
+            raise InputError(
+                "--simulator cannot be combined with options of the bearing model or --tolerance, which the campaign's "
+                "code sets."
+            )
+        intensity = Intensity.of(self.scale_to) if isinstance(self.scale_to, str) else self.scale_to
+        if self.simulator is not None and intensity.kind != "pgv":
+            raise InputError(f"--scale-to: must be pgv with --simulator, got {visible(str(self.scale_to))!r}.")
+        folder = None if self.folder is None else path_of("folder", self.folder)
+        records = self.records
+        if not isinstance(records, RecordSet):
+            if folder is not None and folder.resolve() == Path(records).resolve():
+                raise InputError(f"--out: must differ from --records, got {visible(str(folder))}.")
+            records = read_record_set(records, self.unit, self.dt, self.vertical)
+        about = (intensity, self.outcome, self.to, self.margin, self.pulses, run, folder, self.begin)
+        try:
+            if self.simulator is None:
+                bearing = BearingSubject.of(self.bearing, model, tolerance, self.workers)
+                return analysis(bearing, records, *about)
+            name, campaign = campaign_of(self.simulator)
+            values = values_under_records(campaign, self.bearing, len(records.records))
+            pool = self.executor or executor_named(campaign, self.workers, self.where, self.scheduler, self.stage)
+            with nullcontext(self.executor) if self.executor else pool:
+                return analysis(CampaignSubject(name, campaign, values, pool), records, *about)
+        except KeyboardInterrupt:
+            kept = "nothing is kept without --out" if folder is None else "the same command continues"
+            raise KeyboardInterrupt(kept) from None
+
+    def write_pages(self, findings: "IdaFindings", run: "Run | None", out: Path) -> list[Path]:
+        from activefail.report.ida import write_ida
+
+        return write_ida(findings, out)
+
+
+ida = function_of("ida", IdaRequest)
+
+
+@dataclass(frozen=True)
+class HazardRequest(Request["HazardSummary"]):
+    """Check a hazard file and show its pulses.
+
+    With a run folder, also shows which share of the pulses lies outside the campaign's design space.
+    """
+
+    hazard: "Hazard | Path | str" = option(REQUIRED, f"{HAZARD}.", Path, is_argument=True, metavar="FILE")
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
+
+    writes: ClassVar = False
+    of_run: ClassVar = Option(
+        "Run folder; shows the share of the pulses outside its design space.", Path, is_argument=True, metavar="DIR"
+    )
+    pages: ClassVar = "Folder for the figure: hazard.png and hazard.svg."
+
+    def answer(self, run: "Run | None" = None) -> "HazardSummary":
+        from activefail.campaign.hazard import Hazard, read_hazard
+        from activefail.campaign.question import values_of
+        from activefail.risk.hazard_summary import HazardSummary
+
+        if run is None and self.fixed is not None:
+            raise InputError("fixed: requires a run folder, whose variables it fixes.")
+        hazard = self.hazard if isinstance(self.hazard, Hazard) else read_hazard(path_of("hazard", self.hazard))
+        space = None if run is None else run.space
+        fixed = values_of(self.fixed, run.space) if run else {}
+        with naming("" if hazard is self.hazard else f"{self.hazard}: "):
+            return HazardSummary.of(hazard, space, fixed)
+
+    def write_pages(self, findings: "HazardSummary", run: "Run | None", out: Path) -> list[Path]:
+        from activefail.figures.hazard import plot_hazard
+        from activefail.figures.style import save_png_and_svg
+
+        out.mkdir(parents=True, exist_ok=True)
+        return save_png_and_svg(plot_hazard(findings, None if run is None else run.space), out, "hazard")
+
+
+hazard = function_of("hazard", HazardRequest)
 
 
 @contextmanager

@@ -13,20 +13,18 @@ import numpy as np
 
 from activefail.arguments import (
     check_whole,
-    path_of,
-    question_asked,
     rows_named,
-    site_and_question,
     source_of,
     table_of,
     target_of,
-    values_of,
 )
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
+from activefail.campaign.inquiry import Inquiry
+from activefail.campaign.question import values_of
 from activefail.display import ShownExecutor, campaign_display
 from activefail.errors import InputError, StoreError
-from activefail.files import writing_to
+from activefail.files import path_of, writing_to
 from activefail.findings.summary import Summary
 from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History, first_simulations
@@ -722,7 +720,7 @@ class Run:
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
-        return question_asked(self.campaign, question, fixed)
+        return Inquiry.of(self.campaign, None, question, fixed).question
 
     def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
         """Values of variables, by name or from a TOML file.
@@ -730,7 +728,7 @@ class Run:
         Raises:
             InputError: if a name is not a variable, or a value is not a number.
         """
-        return values_of(self.space, fixed)
+        return values_of(fixed, self.space)
 
     def _save_estimate(self, findings: "ProbabilityFindings") -> None:
         """Save an estimate from the present record; a run open for reading saves none."""
@@ -866,10 +864,9 @@ class Run:
         risk = None
         if hazard is not None:
             options = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
-            site, question = site_and_question(self.campaign, hazard, None, fixed)
-            assert site is not None
+            asked = Inquiry.of(self.campaign, hazard, None, fixed)
             with estimating(self, stage=stage, simulates=False) as estimator:
-                risk = risk_findings(estimator, site, question, options, stage)
+                risk = risk_findings(estimator, asked, options, stage)
         failure = self.failure(stage)
         with one_thread():
             evidence = evidence_of(self.campaign, self.store, self.classifier, stage)

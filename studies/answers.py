@@ -24,12 +24,12 @@ from problems import Problem, standard
 from study import Rows, asked, in_memory
 
 from activefail import create_run, open_run, simulate
-from activefail.campaign.hazard import hazard_of
+from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.campaign.question import Question
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability.integral import BoundariesOf
 from activefail.risk.fragility.curve import Curve
-from activefail.risk.fragility.levels import curves_on, intensity_ladder, question_at
+from activefail.risk.fragility.levels import curves_on, intensity_ladder
 from activefail.risk.fragility.rates import risk_of
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
@@ -55,7 +55,7 @@ def fragility(folder, number):
             hazard = hazard_of({"magnitude": {"M": M}, "pgv": pgv, "curve": RATES}, Path("hazard.toml"))
 
             def at(level, hazard=hazard):
-                return question_at(hazard, opened.settings, space, bearing, "pgv", level)
+                return hazard_question(hazard, space, bearing, level)
 
             with one_thread():
                 curves = curves_on(boundaries, at, intensity_ladder("pgv", hazard), space).curves

@@ -70,7 +70,7 @@ class Study:
         self.rng = np.random.default_rng(seed)
 
     def question(self, bearing):
-        return hazard_question(self.hazard, self.run.settings, self.run.space, bearing)
+        return hazard_question(self.hazard, self.run.space, bearing)
 
     def drawn(self):
         """A bearing of Table 1 without D_tot."""
@@ -101,7 +101,7 @@ class Study:
             bearing = self.drawn()
             pgv = {"median_m_s": 0.6 * 2.4 ** self.rng.random(), "dispersion": 0.25}
             hazard = hazard_of({"magnitude": {"M": 6.4 + 1.2 * self.rng.random()}, "pgv": pgv}, Path("hazard.toml"))
-            question = hazard_question(hazard, self.run.settings, self.run.space, {**bearing, FREE: RANGE[0]})
+            question = hazard_question(hazard, self.run.space, {**bearing, FREE: RANGE[0]})
             X = self.draw(question, 500, self.rng)
             smallest, largest = (self.failed(question.at({FREE: value}), X).mean() for value in RANGE)
             if largest <= 0.8 * target and smallest >= 1.2 * target:

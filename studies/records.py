@@ -34,7 +34,7 @@ from activefail.bearing import (
 )
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.risk.ida.calculation import ida
+from activefail.requests import ida
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, ladder
 from activefail.risk.ida.intensity import Intensity
 

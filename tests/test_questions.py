@@ -10,8 +10,8 @@ import pytest
 from commandline import activefail, refused, sets
 from scipy.special import ndtr
 
+from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
-from activefail.campaign.question_files import read_question
 from activefail.campaign.settings import parse_settings
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page as explorer
@@ -65,7 +65,7 @@ def asked(folder: Path, text: str) -> Path:
 
 def question(folder: Path, text: str) -> Question:
     settings = parse_settings(CAMPAIGN, "made.toml")
-    return read_question(asked(folder, text), settings, settings.design_space(), {})
+    return read_question(asked(folder, text), settings.design_space(), {})
 
 
 def test_the_probability_is_that_of_the_question(ended: Path, tmp_path: Path) -> None:

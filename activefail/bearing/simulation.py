@@ -28,7 +28,7 @@ from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, T
 from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
 from activefail.bearing.kernels import KERNEL, check_compiled, kernel
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.space import Array
 
 FREE_PERIODS = 2.5
@@ -326,10 +326,8 @@ def simulate_one(
 
 
 def _design(row: int, values: list[float], model: Model) -> tuple[Bearing, Pulse]:
-    try:
+    with naming(f"Row {row}: "):
         return Bearing.from_row(values, model.slider_diameter), Pulse.from_table(*values[7:])
-    except InputError as error:
-        raise InputError(f"Row {row}: {error}") from None
 
 
 @contextmanager

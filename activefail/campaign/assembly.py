@@ -95,7 +95,7 @@ class Campaign:
         mapped = feature_map(features, space, settings.bearing.model(), check_features)
         if isinstance(simulator, DfpSimulator):
             mapped = replace(mapped, harmless=simulator.harmless)
-        return cls(settings, space, simulator, mapped, question_of(settings, space), sources | source, code)
+        return cls(settings, space, simulator, mapped, question_of(settings.question, space), sources | source, code)
 
     @property
     def time_limit(self) -> float | None:

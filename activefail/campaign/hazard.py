@@ -13,10 +13,10 @@ from activefail.bearing.pulse import VELOCITY_PERIOD
 from activefail.campaign.hazard_sections import HazardSettings, MagnitudeSection
 from activefail.campaign.pulse_table import read_pulses, velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question, asked_of, check_names, check_pulse
-from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
+from activefail.campaign.settings import checked, parse_toml, read_text
 from activefail.correlation import correlation_of_values
 from activefail.distributions import moments, quantiles_at
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
 from activefail.space import REACH, Array, DesignSpace, radius
 from activefail.weighted import BLOCKS, WeightedRows, weighted_quantiles
@@ -229,15 +229,6 @@ def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parame
     return Parameter(name, low, high, unit, "lognormal", mean, sd)
 
 
-def is_hazard(path: Path) -> bool:
-    """Whether a file is a hazard file, by its keys, and not a question file.
-
-    Raises:
-        InputError: if the file is not TOML.
-    """
-    return is_of_hazard(parse_toml(read_text(path), str(path)))
-
-
 def is_of_hazard(values: Mapping[str, Any]) -> bool:
     """Whether values are those of a hazard file, by their keys, and not of a question file."""
     return "space" not in values and not values.keys().isdisjoint(HazardSettings.model_fields.keys() - {"description"})
@@ -261,10 +252,8 @@ def hazard_of(values: dict[str, Any], path: Path) -> Hazard:
     settings = checked(HazardSettings, values, str(path))
     title = settings.description or f"the hazard {path.name}"
     if settings.samples is not None:
-        try:
+        with naming(f"{path}: "):
             rows = read_pulses(path.parent, settings.samples)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
         log_periods = np.log(rows.column(PERIOD))
         middle = float(np.average(log_periods, weights=rows.weight))
         spread = math.sqrt(float(np.average((log_periods - middle) ** 2, weights=rows.weight)))
@@ -304,17 +293,13 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
 
 
 def hazard_question(
-    hazard: Hazard,
-    settings: CampaignSettings,
-    space: DesignSpace,
-    fixed: Mapping[str, float],
-    pgv: float | None = None,
+    hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float], pgv: float | None = None
 ) -> Question:
     """The question that a hazard asks of a campaign.
 
     Args:
         hazard: the hazard.
-        settings, space: of the campaign.
+        space: of the campaign.
         fixed: values of variables that are certain; others keep the campaign's distributions.
         pgv: the peak ground velocity [m/s], if it is given.
 
@@ -333,8 +318,6 @@ def hazard_question(
         values = {**fixed, **certain}
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))
     changed = {parameter.name: parameter for parameter in pulses.parameters}
-    correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
-    question = asked_of(
-        hazard.title, settings, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation]
-    )
+    correlation = [pair for pair in space.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
+    question = asked_of(hazard.title, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
     return replace(question, factors=factors, assumptions=(*hazard.assumptions, *question.assumptions))

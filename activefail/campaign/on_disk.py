@@ -7,7 +7,7 @@ from pathlib import Path
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.settings import read_settings
-from activefail.errors import InputError, StoreError
+from activefail.errors import StoreError, naming
 from activefail.record.layout import JOURNAL, SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 
@@ -34,10 +34,8 @@ def read_campaign(
         InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
     settings = read_settings(path).with_overrides(seed, budget)
-    try:
+    with naming(f"{path}: "):
         return Campaign.of(settings, code, run, custom_features=features, check_features=not frozen)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def create_folder(folder: Path, campaign: Campaign) -> FolderStore:

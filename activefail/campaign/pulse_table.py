@@ -4,12 +4,12 @@ import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from activefail.bearing.design import LARGEST
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard_sections import LARGEST_VELOCITY, LONGEST, SHORTEST
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
-from activefail.csv_table import number_of, read_cells
+from activefail.csv_table import DesignTable, read_cells
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.weighted import WeightedRows
@@ -21,8 +21,13 @@ Each probability takes one prediction for each row; with added uncertainty, at l
 
 WEIGHT = "weight"
 
-_RANGES = {PERIOD: (SHORTEST, LONGEST), PGV: (1e-3, LARGEST_VELOCITY), AMPLITUDE: (1e-4, 10.0)}
-_UNITS = {PERIOD: "s", PGV: "m/s", AMPLITUDE: "g"}
+_RANGES = {
+    PERIOD: (SHORTEST, LONGEST, " s"),
+    PGV: (1e-3, LARGEST_VELOCITY, " m/s (not cm/s)"),
+    AMPLITUDE: (1e-4, 10.0, " g"),
+    WEIGHT: (0.0, LARGEST, ""),
+}
+"""Least and largest value of each column, and its unit."""
 
 
 def read_pulses(folder: Path, name: str) -> WeightedRows:
@@ -36,7 +41,7 @@ def read_pulses(folder: Path, name: str) -> WeightedRows:
     if not Path(os.path.realpath(path)).is_relative_to(home):
         # A hazard file may come from someone else; messages quote the cells of its table.
         raise InputError(f"samples: must be a file in the folder of the hazard file, got {name!r}.")
-    header, rows, lines = read_cells(path)
+    header, rows, _ = read_cells(path)
     size = [column for column in (PGV, AMPLITUDE) if column in header]
     unknown = [column for column in header if column not in (PERIOD, PGV, AMPLITUDE, WEIGHT)]
     if PERIOD not in header or len(size) != 1 or unknown:
@@ -46,15 +51,17 @@ def read_pulses(folder: Path, name: str) -> WeightedRows:
         )
     if not 0 < len(rows) <= MOST_ROWS:
         raise InputError(f"{path}: must have 1 to {MOST_ROWS} rows, got {len(rows)}.")
-    columns = {column: _numbers(path, rows, lines, column, header.index(column)) for column in header}
-    for column, (least, most) in _RANGES.items():
-        if column in columns:
-            outside = ~((columns[column] >= least) & (columns[column] <= most))
-            hint = "; is it in cm/s?" if column == PGV else ""
-            rule = f"must be between {least:g} and {most:g} {_UNITS[column]}"
-            _check(path, lines, column, columns[column], outside, rule, hint)
+
+    def outside(pulse: Array) -> str | None:
+        for column, value in zip(header, pulse.tolist(), strict=True):
+            low, high, unit = _RANGES[column]
+            if not low <= value <= high:
+                return f"column {column}: must be between {low:g} and {high:g}{unit}, got {value:g}"
+        return None
+
+    table = DesignTable.checked(path, header, (), outside)
+    columns = dict(zip(header, np.concatenate([pulses for _, pulses in table.chunks()]).T, strict=True))
     weight = columns.get(WEIGHT, np.ones(len(rows)))
-    _check(path, lines, WEIGHT, weight, ~(np.isfinite(weight) & (weight >= 0.0)), "must be finite and at least 0")
     weighs = weight > 0.0
     if not weighs.any():
         raise InputError(f"{path}: column {WEIGHT}: at least one weight must be positive, got 0 in every row.")
@@ -67,24 +74,3 @@ def velocities(rows: WeightedRows) -> Array:
     if PGV in rows.names:
         return rows.column(PGV)
     return velocity_of(rows.column(AMPLITUDE), rows.column(PERIOD))
-
-
-def _numbers(path: Path, rows: list[list[str]], lines: list[int], name: str, index: int) -> Array:
-    values = np.empty(len(rows))
-    for row, cells in enumerate(rows):
-        text = cells[index].strip()
-        try:
-            values[row] = number_of(text)
-        except ValueError:
-            place = f"{path}: row {row + 1} (line {lines[row]}), column {name}"
-            raise InputError(f"{place}: must be a number, got {text!r}.") from None
-    return values
-
-
-def _check(
-    path: Path, lines: list[int], name: str, values: Array, bad: NDArray[np.bool_], rule: str, hint: str = ""
-) -> None:
-    for row in np.flatnonzero(bad)[:1]:
-        raise InputError(
-            f"{path}: row {row + 1} (line {lines[row]}), column {name}: {rule}, got {values[row]:g}{hint or '.'}"
-        )

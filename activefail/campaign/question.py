@@ -6,15 +6,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
 from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable, shown
-from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
-from activefail.errors import InputError
+from activefail.campaign.settings import checked, parse_toml, read_text
+from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
 from activefail.shares import percent
 from activefail.space import Array, DesignSpace, radius
@@ -148,14 +148,17 @@ class Question:
         from activefail.acquisition.population import integration_points
 
         U, weight = integration_points(self.space, _SHARE)
-        X = self.designs(U)
-        ranges = {}
-        for parameter, x in zip(space.parameters, X.T, strict=True):
-            low, high = weighted_quantiles(x, weight, (0.5 - 0.5 * _HELD, 0.5 + 0.5 * _HELD)).tolist()
-            if low < parameter.low or high > parameter.high:
-                ends = min(parameter.low, _outwards(low, -1.0)), max(parameter.high, _outwards(high, 1.0))
-                ranges[parameter.name] = ends
-        return Outside(float(1.0 - (weight * space.contains(X)).mean()), ranges, space)
+        return Outside(self.designs(U), weight, space)
+
+
+class Beyond(NamedTuple):
+    """The share of a question beyond one bound of a design space, below or above it."""
+
+    name: str
+    unit: str
+    side: str
+    bound: float
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,14 +166,38 @@ class Outside:
     """What of a question lies outside a campaign's design space.
 
     Attributes:
-        share: of the question.
-        ranges: of the variables that leave the space, by name: the space's, widened to hold 99 % of the question.
+        X, weight: (n, d) designs of the question, and their weights, (n,).
         space: the design space.
     """
 
-    share: float
-    ranges: Mapping[str, tuple[float, float]]
+    X: Array
+    weight: Array
     space: DesignSpace
+
+    @cached_property
+    def share(self) -> float:
+        """Of the question, in any variable."""
+        return float(1.0 - (self.weight * self.space.contains(self.X)).mean())
+
+    @cached_property
+    def parts(self) -> tuple[Beyond, ...]:
+        """By variable and side, where there is a share."""
+        parts = []
+        for one, x in zip(self.space.parameters, self.X.T, strict=True):
+            for side, bound, beyond in (("below", one.low, x < one.low), ("above", one.high, x > one.high)):
+                if share := float((self.weight * beyond).mean()):
+                    parts.append(Beyond(one.name, one.unit, side, bound, share))
+        return tuple(parts)
+
+    @cached_property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges of the variables that leave the space, by name: the space's, widened to hold 99 % of the question."""
+        ranges = {}
+        for one, x in zip(self.space.parameters, self.X.T, strict=True):
+            low, high = weighted_quantiles(x, self.weight, (0.5 - 0.5 * _HELD, 0.5 + 0.5 * _HELD)).tolist()
+            if low < one.low or high > one.high:
+                ranges[one.name] = min(one.low, _outwards(low, -1.0)), max(one.high, _outwards(high, 1.0))
+        return ranges
 
     @property
     def advice(self) -> str:
@@ -205,62 +232,51 @@ def _outwards(value: float, side: float) -> float:
     return float(f"{side * math.ceil(side * value / digit) * digit:.6g}")
 
 
-def question_with(
-    values: dict[str, Any], path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float]
-) -> Question:
+def question_with(values: dict[str, Any], path: Path, space: DesignSpace, fixed: Mapping[str, float]) -> Question:
     """The question with these values of a question file.
 
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
     section = checked(QuestionSettings, values, str(path))
-    try:
-        return _question(section, path.stem, settings, space, fixed)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    with naming(f"{path}: "):
+        return _question(section, path.stem, space, fixed)
 
 
-def question_of(settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None) -> Question:
+def question_of(
+    section: QuestionSettings | None, space: DesignSpace, fixed: Mapping[str, float] | None = None
+) -> Question:
     """The question of a campaign file; its design measure if it asks none.
 
     Raises:
         InputError: naming the key, the rule and the value.
     """
-    if settings.question is None:
-        if fixed:
-            return asked_of(_OF_CAMPAIGN, settings, space, {}, fixed)
-        return Question.of_space(space)
-    try:
-        return _question(settings.question, "the campaign's question", settings, space, fixed or {})
-    except InputError as error:
-        raise InputError(f"question.{error}") from None
+    if section is None:
+        return asked_of(_OF_CAMPAIGN, space, {}, fixed) if fixed else Question.of_space(space)
+    with naming("question."):
+        return _question(section, "the campaign's question", space, fixed or {})
 
 
-def read_fixed(path: Path, space: DesignSpace) -> dict[str, float]:
-    """Read values of variables: a TOML table such as `T_b = 4.0`.
+def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[str, float]:
+    """Values of variables in an argument: by name, in a TOML file with lines such as `T_b = 4.0`, or None.
 
     Raises:
-        InputError: naming the file, the key, the rule and the value.
+        InputError: naming the file; if a name is not a variable of the campaign, or a value is not a number.
     """
-    values = parse_toml(read_text(path), str(path))
-    try:
-        return checked_values(values, space)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def checked_values(values: Mapping[str, Any], space: DesignSpace) -> dict[str, float]:
-    """Values of variables as numbers.
-
-    Raises:
-        InputError: if a name is not a variable of the campaign, or a value is not a number.
-    """
-    check_names(values, space)
-    for name, value in values.items():
+    if isinstance(given, str | Path):
+        values = parse_toml(read_text(Path(given)), str(given))
+        with naming(f"{given}: "):
+            return values_of(values, space)
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise InputError(f"{argument}: must be values by name, or a path, got {type(given).__name__}.")
+    check_names(given, space)
+    for name, value in given.items():
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (is_number and -LARGEST <= value <= LARGEST):
             raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
-    return {name: float(value) for name, value in values.items()}
+    return {name: float(value) for name, value in given.items()}
 
 
 def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
@@ -280,17 +296,16 @@ def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
 
 def asked_of(
     title: str,
-    settings: CampaignSettings,
     space: DesignSpace,
     changed: Mapping[str, Parameter],
     fixed: Mapping[str, float],
-    correlation: list[tuple[str, str, float]] | None = None,
+    correlation: Iterable[tuple[str, str, float]] | None = None,
 ) -> Question:
     """The question with other distributions of variables.
 
     Args:
         title: in words.
-        settings, space: of the campaign.
+        space: of the campaign.
         changed: distributions by name; a variable that is left out keeps the campaign's.
         fixed: values of certain variables.
         correlation: of the variables; the campaign's if None. Pairs with a certain variable are left out, which is
@@ -306,7 +321,7 @@ def asked_of(
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
     of_campaign = dict(zip(space.names, space.parameters, strict=True))
     if correlation is None:
-        correlation = [pair for pair in settings.correlation if {*pair[:2]} <= {*uncertain, *fixed}]
+        correlation = [pair for pair in space.correlation if {*pair[:2]} <= {*uncertain, *fixed}]
     kept = tuple(pair for pair in correlation if fixed.keys().isdisjoint(pair[:2]))
     parameters = tuple(changed.get(name) or of_campaign[name] for name in uncertain)
     notes = _left_out(correlation, fixed)
@@ -349,11 +364,9 @@ def has_pulse(space: DesignSpace) -> bool:
     return True
 
 
-def _question(
-    section: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, further: Mapping[str, float]
-) -> Question:
+def _question(section: QuestionSettings, title: str, space: DesignSpace, further: Mapping[str, float]) -> Question:
     for name, entry in section.space.items():
-        _check_variable(name, entry, settings, space)
+        _check_variable(name, entry, space)
     if PGV in section.space and AMPLITUDE in {*section.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
     fixed = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)} | dict(
@@ -373,10 +386,10 @@ def _question(
             raise InputError(
                 f"space.{PGV}: its median must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?"
             )
-    return asked_of(section.description or title, settings, space, changed, fixed, section.correlation)
+    return asked_of(section.description or title, space, changed, fixed, section.correlation)
 
 
-def _check_variable(name: str, entry: Variable | FixedVariable, settings: CampaignSettings, space: DesignSpace) -> None:
+def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpace) -> None:
     """Check one variable of a question.
 
     Raises:
@@ -386,11 +399,9 @@ def _check_variable(name: str, entry: Variable | FixedVariable, settings: Campai
         check_pulse(space, f"space.{PGV}")
         unit = "m/s"
     else:
-        try:
+        with naming("space."):
             check_names({name: entry}, space)
-        except InputError as error:
-            raise InputError(f"space.{error}") from None
-        unit = settings.space[name].unit
+        unit = space.parameters[space.names.index(name)].unit
     if entry.unit and entry.unit != unit:
         stated = visible(unit) or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

@@ -8,14 +8,14 @@ from activefail.cli.campaigns import campaigns, export, predict, resume, run, st
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
-from activefail.cli.hazard import hazard
-from activefail.cli.ida import ida
 from activefail.cli.report import report
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 from activefail.requests import (
     DesignRequest,
     FragilityRequest,
+    HazardRequest,
+    IdaRequest,
     ProbabilityRequest,
     SensitivityRequest,
     VerifyRequest,
@@ -35,11 +35,11 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     predict: "runs/first --csv designs.csv --out predictions.csv",
     command_of("verify", VerifyRequest): "runs/first --simulations 400",
     command_of("probability", ProbabilityRequest): "runs/first --question question.toml",
-    hazard: "hazard.toml runs/first --out figures",
+    command_of("hazard", HazardRequest): "hazard.toml runs/first --out figures",
     command_of("design", DesignRequest): "runs/first --hazard hazard.toml --target 0.02 --free D_tot",
     command_of("sensitivity", SensitivityRequest): "runs/first --hazard hazard.toml --out figures",
     command_of("fragility", FragilityRequest): "runs/first --hazard hazard.toml --bearing bearing.toml --out figures",
-    ida: "--records farfield --bearing bearing.toml --out figures",
+    command_of("ida", IdaRequest): "--records farfield --bearing bearing.toml --out figures",
     export: "runs/first --csv simulations.csv",
     compare: "runs/first --static 500,1000,2000",
     report: "runs/first --out report.html",

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -22,29 +22,31 @@ from activefail.cli.common import (
     show_unseen,
     table_output,
 )
+from activefail.cli.options import Parameters, parameters_of, sign
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.progress import uncounted
-from activefail.request import REQUIRED, Option, Request, options
+from activefail.request import Option, Request, options
 from activefail.visible import visible
 
 
 def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
     """The command that asks a request of a run folder and prints the findings."""
 
-    def command(folder: Path, as_json: bool, code: Path | None, **words: Any) -> None:
+    def command(folder: Path | None, as_json: bool, code: Path | None = None, **words: Any) -> None:
         csv, out = words.pop("csv", None), words.pop("out", None)
         check_out(out)
         check_table("--csv", csv)
         if as_json and csv == STANDARD:
             raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
-        values = {one.name: _value(words[one.name], of, out, one.default) for one, of in options(request)}
-        with opened_run(folder, write=request.records, code=code) as run:
+        values = {one.name: _value(one.name, words, of, out) for one, of in options(request)}
+        run_or_none = nullcontext() if folder is None else opened_run(folder, write=request.writes, code=code)
+        with run_or_none as run:
             with progress_bar(request.counts) if request.counts else nullcontext(uncounted) as begin:
                 asked = request(**values, begin=begin, stage=show_stage)
                 findings = asked.answer(run)
-            summary = run.summary
+            summary = None if run is None else run.summary
         if csv is not None:
             with table_output("--csv", csv) as target:
                 asked.write_table(findings, target)
@@ -52,7 +54,8 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
         if out is not None:
             with writing_to(out):
                 written = asked.write_pages(findings, run, out)
-        show_unseen(summary)
+        if summary is not None:
+            show_unseen(summary)
         if as_json:
             print_json(findings.as_json())
         elif csv != STANDARD:
@@ -65,38 +68,33 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
             raise typer.Exit(findings.exit_code)
 
     command.__name__, command.__doc__ = name, request.__doc__
-    _declare(command, request)
+    sign(command, _parameters(request))
     return command
 
 
-def _value(word: Any, of: Option, out: Path | None, default: Any) -> Any:
-    """The value of an option, from the word on the command line or its default."""
+def _value(name: str, words: dict[str, Any], of: Option, out: Path | None) -> Any:
+    """The value of an option, from the words on the command line or its default."""
+    if of.parts:
+        return of.value(words)
     if of.with_out and out is None:
-        return False
+        return None if of.kind is Path else False
+    word: Any = out if of.kind is Path and of.with_out else words[name]
     if of.parse is None:
         return word
-    return default if word is None else of.parse(word)
+    return of.default if word is None else of.parse(word)
 
 
-def _declare(command: Callable[..., None], request: type[Request[Any]]) -> None:
-    """Give a command the signature from which typer makes its options."""
-    parameters: dict[str, tuple[Any, Any]] = {"folder": (RunFolder, inspect.Parameter.empty)}
+def _parameters(request: type[Request[Any]]) -> Parameters:
+    """The parameters of the command of a request."""
+    parameters: Parameters = {} if request.of_run else {"folder": (RunFolder, inspect.Parameter.empty)}
     for one, of in options(request):
-        required = one.default is REQUIRED
-        default = None if of.parse is not None or required else of.with_out or one.default
-        names = of.names or ()
-        shown = typer.Option(
-            *names, help=of.help, min=of.low, max=of.high, metavar=of.metavar, show_default=default not in (None, "")
-        )
-        kind = of.kind if required or default is not None else of.kind | None
-        parameters[one.name] = Annotated[kind, shown], inspect.Parameter.empty if required else default
+        # `--out` names the folder.
+        if not (of.with_out and of.kind is Path):
+            parameters |= parameters_of(one.name, of)
+    if request.of_run is not None:
+        parameters |= parameters_of("folder", request.of_run)
     parameters["as_json"] = AsJson, False
     for name, help in (("csv", request.table), ("out", request.pages)):
         if help:
-            parameters[name] = Annotated[Path | None, typer.Option(help=help, show_default=False)], None
-    parameters["code"] = Code, None
-    kind = inspect.Parameter.KEYWORD_ONLY
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, kind, default=default, annotation=of) for name, (of, default) in parameters.items()]
-    )
-    command.__annotations__ = {name: of for name, (of, _) in parameters.items()} | {"return": None}
+            parameters |= parameters_of(name, Option(help, Path))
+    return parameters | {"code": (Code, None)}

@@ -128,8 +128,9 @@ def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
     def wrapper(*arguments: Any, **options: Any) -> None:
         try:
             command(*arguments, **options)
-        except KeyboardInterrupt:
-            print("activefail: stopped; recorded simulations are safe", file=sys.stderr)
+        except KeyboardInterrupt as stop:
+            kept = stop.args[0] if stop.args else "recorded simulations are safe"
+            print(f"activefail: stopped; {kept}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
 
     return wrapper

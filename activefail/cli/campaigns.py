@@ -7,28 +7,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from activefail.arguments import executor_named
 from activefail.cli.common import (
     STANDARD,
     AsJson,
     CampaignFile,
     Code,
-    ExecutorName,
     RunFolder,
-    Scheduler,
-    Workers,
-    make_executor,
     name_of,
     opened_run,
     print_json,
+    show_stage,
     show_unseen,
     show_warnings,
     table_input,
     table_output,
 )
+from activefail.cli.options import with_options
 from activefail.display import campaign_display, progress_bar
 from activefail.errors import InputError
 from activefail.interrupts import INTERRUPTED, stop_on_signals
 from activefail.record.layout import check_output
+from activefail.requests import EXECUTOR, SCHEDULER, WORKERS
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from activefail.run import Run
 
 
+@with_options(workers=WORKERS, executor=EXECUTOR, scheduler=SCHEDULER)
 def run(
     campaign: CampaignFile,
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
@@ -43,9 +44,10 @@ def run(
     budget: Annotated[
         int | None, typer.Option(help="Number of simulations; overrides the file's.", show_default=False)
     ] = None,
-    workers: Workers = None,
-    executor: ExecutorName = "local",
-    scheduler: Scheduler = None,
+    *,
+    workers: int | None,
+    executor: str,
+    scheduler: str | None,
 ) -> None:
     """Run a new campaign."""
     from activefail.opening import campaign_for, create_run
@@ -53,7 +55,10 @@ def run(
     check_output("--out", out)
     assembled = campaign_for(out, campaign, seed, budget)
     # The executor first: if it fails to start, no folder is left behind.
-    with make_executor(assembled, workers, executor, scheduler) as pool, create_run(out, assembled) as created:
+    with (
+        executor_named(assembled, workers, executor, scheduler, show_stage) as pool,
+        create_run(out, assembled) as created,
+    ):
         _take(created, pool, executor_options=_executor_options(executor, scheduler))
 
 
@@ -77,14 +82,16 @@ def campaigns(
         print(f"{name:<10} {visible(description_of(file))}")
 
 
+@with_options(workers=WORKERS, executor=EXECUTOR, scheduler=SCHEDULER)
 def resume(
     folder: RunFolder,
     budget: Annotated[
         int | None, typer.Option(help="Total number of simulations; overrides the campaign's.", show_default=False)
     ] = None,
-    workers: Workers = None,
-    executor: ExecutorName = "local",
-    scheduler: Scheduler = None,
+    *,
+    workers: int | None,
+    executor: str,
+    scheduler: str | None,
     numerical_failures: Annotated[
         float | None,
         typer.Option(
@@ -102,7 +109,7 @@ def resume(
     """Continue a campaign after an interruption, or extend it."""
     with opened_run(folder, write=True, code=code) as opened:
         opened.check_budget(budget)
-        with make_executor(opened.campaign, workers, executor, scheduler) as pool:
+        with executor_named(opened.campaign, workers, executor, scheduler, show_stage) as pool:
             _take(opened, pool, budget, numerical_failures, ignore_stop, _executor_options(executor, scheduler))
 
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Literal
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,9 +17,7 @@ from activefail.screen import table_stream
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.campaign.assembly import Campaign
     from activefail.csv_table import Target
-    from activefail.execution.executor import AsynchronousExecutor
     from activefail.findings.summary import Summary
     from activefail.run import Run
 
@@ -44,40 +42,7 @@ Code = Annotated[
     ),
 ]
 
-Fixed = Annotated[
-    Path | None,
-    typer.Option(
-        "--fixed", "--bearing", help="TOML file with values of variables, such as T_b = 4.0.", show_default=False
-    ),
-]
-
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-
-Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
-
-SliderDiameter = Annotated[float, typer.Option(help="Slider diameter D_sl [m].")]
-
-RestitutionCoefficient = Annotated[float, typer.Option(help="Coefficient of restitution of the contacts.")]
-
-SliderDensity = Annotated[float, typer.Option(help="Density of the slider [kg/m³].")]
-
-LossOfConfinement = Annotated[bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")]
-
-Restitution = Annotated[str, typer.Option(help="Mass that sets the contact damping: pairwise or assembly.")]
-
-FrictionVelocity = Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")]
-
-RelativeTolerance = Annotated[float, typer.Option(help="Relative tolerance of the integration.")]
-
-ExecutorName = Annotated[
-    Literal["local", "dask"], typer.Option(help="Where simulations run: this machine, or a Dask cluster.")
-]
-
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="Address of the Dask cluster, such as tcp://head:8786.", metavar="ADDRESS", show_default=False),
-]
-
 
 _BEGAN = time.monotonic()
 """The start of the program, nearly: this module is imported first."""
@@ -161,32 +126,6 @@ def opened_run(
         show_warnings(run.store.new_warnings())
 
 
-def make_executor(
-    campaign: "Campaign", workers: int | None, name: str, scheduler: str | None
-) -> "AsynchronousExecutor":
-    """Create the executor that the options select.
-
-    Raises:
-        InputError: if simulations are made elsewhere, the options are inconsistent, or the cluster cannot be reached.
-    """
-    campaign.check_simulates()
-    if name == "local":
-        from activefail.execution.local import local_executor
-
-        if scheduler is not None:
-            raise InputError("--scheduler requires --executor dask.")
-        return local_executor(campaign.simulator, workers, campaign.time_limit)
-    from activefail.execution.dask import DaskExecutor
-
-    if scheduler is None:
-        raise InputError("--executor dask requires --scheduler.")
-    if workers is not None:
-        raise InputError("--workers requires --executor local; the Dask cluster determines the number of workers.")
-    from activefail.campaign.provenance import simulation_versions
-
-    return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
-
-
 def print_json(values: Mapping[str, object]) -> None:
     """Print figures as JSON."""
     print(json_text(values))
@@ -197,11 +136,6 @@ def show_stage(text: str) -> None:
     if is_quiet():
         return
     print(f"{time.monotonic() - _BEGAN:.1f} s: {text}" if is_verbose() else text, file=sys.stderr, flush=True)
-
-
-def show_note(text: str) -> None:
-    """Print what a command did, such as the file that it wrote, to the error stream."""
-    print(text, file=sys.stderr, flush=True)
 
 
 def show_unseen(summary: "Summary") -> None:

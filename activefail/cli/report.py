@@ -5,13 +5,16 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
+from activefail.cli.common import Code, RunFolder, opened_run, show_stage
+from activefail.cli.options import with_options
 from activefail.errors import InputError
 from activefail.files import check_file
 from activefail.record.layout import check_output
+from activefail.requests import FIXED
 from activefail.visible import visible
 
 
+@with_options(fixed=FIXED)
 def report(
     folder: RunFolder,
     out: Annotated[
@@ -24,7 +27,7 @@ def report(
             show_default=False,
         ),
     ] = None,
-    fixed: Fixed = None,
+    fixed: Path | None = None,
     target: Annotated[
         str | None,
         typer.Option(

@@ -10,28 +10,24 @@ import typer
 
 from activefail.cli.common import (
     AsJson,
-    FrictionVelocity,
-    LossOfConfinement,
-    RelativeTolerance,
-    Restitution,
-    RestitutionCoefficient,
-    SliderDensity,
-    SliderDiameter,
     name_of,
     print_json,
     table_input,
     table_output,
 )
+from activefail.cli.options import with_options
 from activefail.display import progress_bar
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.files import check_file, writing_to
 from activefail.record.layout import check_output
+from activefail.requests import MODEL, TOLERANCE
 from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.bearing import Accelerogram, Model, Response, Tolerance
 
 
+@with_options(model=MODEL, tolerance=TOLERANCE)
 def simulate(
     t_b: Annotated[float | None, typer.Option(help="Bearing period T_b [s].", show_default=False)] = None,
     mu: Annotated[float | None, typer.Option(help="Friction coefficient.", show_default=False)] = None,
@@ -75,33 +71,20 @@ def simulate(
         Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
     ] = None,
     as_json: AsJson = False,
-    slider_diameter: SliderDiameter = 0.30,
-    restitution_coefficient: RestitutionCoefficient = 0.65,
-    slider_density: SliderDensity = 7850.0,
-    loss_of_confinement: LossOfConfinement = True,
-    restitution: Restitution = "pairwise",
-    friction_velocity: FrictionVelocity = 1e-3,
-    tolerance: RelativeTolerance = 1e-4,
+    *,
+    model: "Model",
+    tolerance: "Tolerance",
 ) -> None:
     """Simulate one bearing, or a table of designs.
 
     The ground motion is a pulse or a record.
     """
-    from activefail.bearing.design import TABLE_1, Model, Tolerance
+    from activefail.bearing.design import TABLE_1
 
     for option, path in {"--plot": plot, "--animate": animate}.items():
         check_output(option, path)
     options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
     design = dict(zip(options, (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p), strict=True))
-    model = Model(
-        slider_diameter=slider_diameter,
-        restitution_coefficient=restitution_coefficient,
-        restitution=restitution,
-        slider_density=slider_density,
-        friction_velocity=friction_velocity,
-        loss_of_confinement=loss_of_confinement,
-    )
-    integration = Tolerance(relative=tolerance)
     present = {option: value for option, value in design.items() if value is not None}
     if record is not None:
         for option, value in (("--t-p", t_p), ("--a-p", a_p), ("--csv", csv)):
@@ -109,19 +92,19 @@ def simulate(
                 raise InputError(f"--record cannot be combined with {option}.")
         motion = _read_record(record, unit, scale, dt, vertical)
         _check_single({option: value for option, value in design.items() if option not in ("--t-p", "--a-p")}, out)
-        _simulate_one(list(present.values()), motion, model, integration, plot, animate, as_json)
+        _simulate_one(list(present.values()), motion, model, tolerance, plot, animate, as_json)
         return
     for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt), ("--vertical", vertical)):
         if of_record is not None:
             raise InputError(f"{option} requires --record.")
     if csv is None:
         _check_single(design, out)
-        _simulate_one(list(present.values()), None, model, integration, plot, animate, as_json)
+        _simulate_one(list(present.values()), None, model, tolerance, plot, animate, as_json)
         return
     for_one = {"--plot": plot, "--animate": animate, "--json": as_json}
     if single := [*present, *(option for option, value in for_one.items() if value)]:
         raise InputError(f"--csv cannot be combined with {single[0]}, which is for one design.")
-    _simulate_table(csv, out, model, integration)
+    _simulate_table(csv, out, model, tolerance)
 
 
 def _read_record(
@@ -134,10 +117,8 @@ def _read_record(
     accelerogram = read_accelerogram(path, unit, dt)
     if vertical is not None:
         component = read_accelerogram(vertical, unit, dt)
-        try:
+        with naming(f"{visible(str(vertical))}: "):
             accelerogram = accelerogram.with_vertical(component)
-        except InputError as error:
-            raise InputError(f"{visible(str(vertical))}: {error}") from None
     return accelerogram if scale is None else accelerogram.scaled(scale)
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard, hazard_of, hazard_question
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question, check_pulse
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
@@ -288,14 +289,16 @@ class DesignAnswers:
         """
         campaign, findings = self.campaign, self._answers.findings
         question, hazard = self._question(request.site, request.bearing), _hazard(request.site)
-        task = design_task(campaign, question, (Requirement(self._boundary, request.target),), (CAPACITY,))
+        task = design_task(
+            Inquiry(campaign, question, hazard), (Requirement(self._boundary, request.target),), (CAPACITY,)
+        )
         last = int(findings.iteration[-1])
         with WatchedExecutor(local_executor(campaign.simulator), watch) as executor:
             estimator = _InTurns(
                 campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
             )
             designed = find_design(estimator, task, watch.stage, with_costs=False)
-        of_design = DesignFindings(campaign, designed, hazard, designed.question.outside(self.space))
+        of_design = DesignFindings(designed, designed.question.outside(self.space))
         numbers = of_design.as_json()
         kept = (
             "status",
@@ -330,7 +333,7 @@ class DesignAnswers:
         return float(self.space.low[column]), float(self.space.high[column])
 
     def _question_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> Question:
-        return hazard_question(_hazard(site), self.campaign.settings, self.space, dict(bearing))
+        return hazard_question(_hazard(site), self.space, dict(bearing))
 
     def _outside_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> float:
         # D_tot stays within its range.

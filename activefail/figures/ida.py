@@ -36,7 +36,7 @@ def plot_ida(findings: IdaFindings) -> Figure:
         if findings.options is not None:
             axes.axvline(findings.options.mce, color=GREY, linestyle="-.", label="maximum considered earthquake")
         unit = f" [{findings.intensity.unit}]" if findings.intensity.unit else ""
-        worse = "" if findings.outcome == findings.outcomes[-1] else " or worse"
+        worse = "" if findings.is_of_worst else " or worse"
         axes.set(
             xlabel=f"{findings.intensity.name}{unit}",
             ylabel=f"probability of {findings.outcome}{worse} [–]",

@@ -214,6 +214,19 @@ class ProbabilityEstimate:
     deviation: float = 1.0
     check: ModeCheck | None = None
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What `--json` shows of it."""
+        return {
+            "probability": self.probability,
+            "low": self.low,
+            "high": self.high,
+            "simulations": self.simulations,
+            "numerical_failures": self.unanswered,
+            "contradictions": self.wrong,
+            "contradictions_where_sure": self.surprising,
+        }
+
 
 def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Array, margin: Array) -> float:
     """Root mean square of fresh margins' deviations from their predictions, in the latent's standard deviations.

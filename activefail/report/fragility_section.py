@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from activefail.campaign.hazard import Hazard
-from activefail.campaign.question import Question
+from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.figures.design import marks_of_stored, plot_required
 from activefail.report.fragility import curves_shown
@@ -17,6 +16,7 @@ from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.stored import StoredDesign, stored_designs
 from activefail.risk.fragility.calculation import fragility
 from activefail.risk.fragility.findings import FragilityFindings
+from activefail.risk.fragility.levels import ladder_of
 from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import quoted
@@ -95,8 +95,7 @@ def risk_options(
 
 def risk_findings(
     estimator: Estimator,
-    hazard: Hazard,
-    question: Question,
+    asked: Inquiry,
     request: RiskOptions,
     stage: Callable[[str], None] = lambda _: None,
 ) -> RiskFindings:
@@ -104,22 +103,21 @@ def risk_findings(
 
     Args:
         estimator: of the campaign; it need not simulate.
-        hazard: at one of its property bounds.
-        question: the hazard's, with the bearing's values.
+        asked: the hazard, with the bearing's values.
         request: what the report shows.
         stage: called with each stage of the work.
     """
     campaign, requirement = estimator.campaign, request.requirement
-    curves = fragility(estimator, hazard, question, "pgv", None, requirement.outcome, None, _CONFIDENCE, stage)
+    curves = fragility(estimator, asked, ladder_of(asked), requirement.outcome, None, _CONFIDENCE, stage)
     if DEFAULT_FREE not in campaign.space.names:
         why = f"the campaign has no variable {DEFAULT_FREE}, whose required value a chart could show."
         return RiskFindings(request, campaign.space, curves, None, why, ())
-    chart = chart_of(estimator, design_task(campaign, question, (requirement,)), {}, stage)
+    chart = chart_of(estimator, design_task(asked, (requirement,)), {}, stage)
     if chart is None:
         why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
         return RiskFindings(request, campaign.space, curves, None, why, ())
     requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
-    designs = stored_designs(estimator, question, DEFAULT_FREE, requirements)
+    designs = stored_designs(estimator, asked.question, DEFAULT_FREE, requirements)
     return RiskFindings(request, campaign.space, curves, chart, "", tuple(designs))
 
 

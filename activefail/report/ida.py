@@ -10,8 +10,8 @@ from activefail.json_text import json_text
 from activefail.risk.ida.findings import IdaFindings
 
 
-def write_ida(findings: IdaFindings, folder: Path) -> None:
-    """Write ida.json, ida.csv, ida.png and ida.svg to an existing folder.
+def write_ida(findings: IdaFindings, folder: Path) -> list[Path]:
+    """Write ida.json, ida.csv, ida.png and ida.svg to an existing folder; returns them.
 
     Raises:
         OSError: if one cannot be written.
@@ -22,4 +22,4 @@ def write_ida(findings: IdaFindings, folder: Path) -> None:
         file.write(json_text(numbers))
     with writing(folder / "ida.csv", columns) as write:
         write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
-    save_png_and_svg(plot_ida(findings), folder, "ida")
+    return [folder / "ida.json", folder / "ida.csv", *save_png_and_svg(plot_ida(findings), folder, "ida")]

@@ -7,14 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from activefail.acquisition.population import integration_points
 from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of
 from activefail.campaign.hazard import Hazard, check_applies
 from activefail.campaign.hazard_sections import RELATIONS, MagnitudeSection
 from activefail.campaign.pulse_table import velocities
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Outside, Question
+from activefail.findings.lines import titled
 from activefail.risk.design.design_task import RISK_CATEGORIES
 from activefail.risk.fragility.rates import exceedance
+from activefail.shares import percent
 from activefail.space import Array, DesignSpace
 from activefail.weighted import weighted_quantiles
 
@@ -22,138 +23,62 @@ _SHARES = (0.05, 0.5, 0.95)
 _NORMAL_95 = 1.6448536269514722
 """Standard normal quantile of 95 %."""
 
-_POINTS = 2**14
-"""Points that estimate a share outside."""
-
 
 class Spread(NamedTuple):
-    """The distribution of one quantity of the pulses, without added uncertainty.
-
-    Attributes:
-        name, unit: of the quantity.
-        low, median, high: its quantiles of 5, 50 and 95 %.
-        dispersion: standard deviation of its logarithm.
-    """
+    """The distribution of one quantity of the pulses, without added uncertainty."""
 
     name: str
     unit: str
-    low: float
+    low: float  # quantile of 5 %
     median: float
-    high: float
-    dispersion: float
-
-
-class CurvePoint(NamedTuple):
-    """A point of the hazard curve: the annual rate at which a peak ground velocity [m/s] is exceeded."""
-
-    pgv: float
-    rate: float
-
-    @property
-    def return_period(self) -> float:
-        """Mean time between exceedances [years]."""
-        return 1.0 / self.rate
-
-
-class OutsidePart(NamedTuple):
-    """The share of pulses beyond one bound of a campaign's design space.
-
-    Attributes:
-        name, unit: of the variable.
-        side: "below" or "above".
-        bound: of the variable.
-        share: of the pulses.
-    """
-
-    name: str
-    unit: str
-    side: str
-    bound: float
-    share: float
+    high: float  # of 95 %
+    dispersion: float  # standard deviation of the logarithm
 
 
 @dataclass(frozen=True)
-class Outside:
-    """The share of pulses, with added uncertainty, outside a campaign's design space.
+class HazardSummary:
+    """A hazard in numbers."""
 
-    Attributes:
-        total: outside in any variable.
-        parts: by variable and side; those with no share outside are left out.
-        bearing: variables of the bearing whose values entered.
-    """
+    hazard: Hazard  # the hazard
+    spreads: tuple[Spread, ...]  # T_p, the period of the velocity pulse, PGV and A_p
+    correlation: float  # of ln PGV with ln T_p
+    outside: Outside | None = None  # what lies outside a campaign's design space; None without a campaign
+    bearing: tuple[str, ...] = ()  # variables of the bearing whose values entered there
 
-    total: float
-    parts: tuple[OutsidePart, ...]
-    bearing: tuple[str, ...]
+    exit_code = 0
 
     @classmethod
-    def of(cls, hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]) -> "Outside":
-        """The share of a hazard's pulses outside a design space, by 16,384 points of a scrambled Sobol' sequence.
+    def of(
+        cls, hazard: Hazard, space: DesignSpace | None = None, fixed: Mapping[str, float] | None = None
+    ) -> "HazardSummary":
+        """The numbers of a hazard.
 
         Args:
             hazard: the hazard; its property bound applies.
-            space: of the campaign.
+            space: of a campaign, of which the pulses may lie outside.
             fixed: values of the bearing's variables; others are left out.
 
         Raises:
             InputError: as `activefail.campaign.hazard.check_applies` does.
         """
-        check_applies(hazard, space, fixed)
-        known = tuple(name for name in space.names if name in {PERIOD, AMPLITUDE, *fixed})
-        pulses, certain = hazard.pulses()
-        question = Question(hazard.title, known, pulses, {**fixed, **certain}, hazard.factors)
-        U, weight = integration_points(pulses, _POINTS)
-        X = question.designs(U)
-        parameters = [space.parameters[space.names.index(name)] for name in known]
-        parts, is_outside = [], np.zeros(len(X), dtype=bool)
-        for parameter, x in zip(parameters, X.T, strict=True):
-            for side, bound, beyond in (
-                ("below", parameter.low, x < parameter.low),
-                ("above", parameter.high, x > parameter.high),
-            ):
-                is_outside |= beyond
-                if share := float((weight * beyond).mean()):
-                    parts.append(OutsidePart(parameter.name, parameter.unit, side, bound, share))
-        return cls(float((weight * is_outside).mean()), tuple(parts), tuple(fixed))
+        spreads = _spreads_of_rows(hazard) if hazard.rows is not None else _lognormal_spreads(hazard)
+        outside = None if space is None else _outside(hazard, space, fixed or {})
+        return cls(hazard, *spreads, outside, tuple(fixed or ()))
 
-    def as_json(self) -> dict[str, Any]:
-        """The shares as JSON values."""
-        return {
-            "total": self.total,
-            "parts": [part._asdict() for part in self.parts],
-            "bearing": list(self.bearing),
-            "interval": None,
-            "interval_reason": f"the share of {_POINTS:,} points of a scrambled Sobol' sequence",
-        }
+    @property
+    def curve(self) -> tuple[tuple[float, float], ...]:
+        """Peak ground velocities [m/s] with the annual rates at which they are exceeded; empty without a curve."""
+        curve = self.hazard.settings.curve
+        return tuple(zip(curve.pgv_m_s, curve.annual_rate, strict=True)) if curve else ()
 
-
-@dataclass(frozen=True)
-class HazardSummary:
-    """A hazard in numbers.
-
-    Attributes:
-        hazard: the hazard.
-        spreads: T_p, the period of the velocity pulse, PGV and A_p.
-        correlation: of ln PGV with ln T_p.
-        curve: points of the hazard curve; empty if there is none.
-        rate_at_median: annual rate at which the median PGV is exceeded; None without a curve or beyond its ends.
-    """
-
-    hazard: Hazard
-    spreads: tuple[Spread, ...]
-    correlation: float
-    curve: tuple[CurvePoint, ...]
-    rate_at_median: float | None
-
-    @classmethod
-    def of(cls, hazard: Hazard) -> "HazardSummary":
-        """The numbers of a hazard."""
-        spreads, correlation = _spreads_of_rows(hazard) if hazard.rows is not None else _lognormal_spreads(hazard)
-        curve = hazard.settings.curve
-        points = (
-            tuple(CurvePoint(*pair) for pair in zip(curve.pgv_m_s, curve.annual_rate, strict=True)) if curve else ()
-        )
-        return cls(hazard, spreads, correlation, points, _rate_at(points, hazard.median_velocity))
+    @property
+    def rate_at_median(self) -> float | None:
+        """Annual rate at which the median PGV is exceeded; None without a curve or beyond its ends."""
+        curve, median = self.curve, self.hazard.median_velocity
+        if not curve or not curve[0][0] <= median <= curve[-1][0]:
+            return None
+        velocities, rates = np.array(curve).T
+        return float(exceedance(velocities, rates, np.array([median]))[0])
 
     @property
     def source(self) -> str:
@@ -177,9 +102,42 @@ class HazardSummary:
             *self.hazard.assumptions,
         ]
 
+    @property
+    def lines(self) -> list[str]:
+        """The summary as lines of a terminal."""
+        hazard, settings = self.hazard, self.hazard.settings
+        rows = [("hazard", hazard.title), ("pulses", self.source)]
+        for name, unit, low, median, high, dispersion in self.spreads:
+            quantiles = f"median {median:.3g} {unit}, 5 to 95 % {low:.3g} to {high:.3g} {unit}"
+            rows.append((name, f"{quantiles}, dispersion {dispersion:.3g}"))
+        rows.append(("correlation", f"{self.correlation:.3g} between ln PGV and ln T_p"))
+        if (bounds := settings.properties) is not None:
+            friction = f"friction × {bounds.mu_lower:g} to × {bounds.mu_upper:g}"
+            rows.append(("properties", f"{friction}, displacement capacity × {bounds.D_tot_lower:g}"))
+        if (factor := settings.record_factor) is not None:
+            numbers = f"bias {factor.bias:g} and dispersion {factor.dispersion:g} of the logarithm"
+            rows.append(("records", f"capacity over that under pulses: {numbers}"))
+        if (added := settings.uncertainty) is not None:
+            parts = f"design requirements {added.design_requirements:g}, test data {added.test_data:g}"
+            rows.append(("uncertainty", f"{parts}, modelling {added.modelling:g}; together {added.total:.3g}"))
+        for pgv, rate in self.curve:
+            rows.append(("curve", f"PGV above {pgv:g} m/s: {_rate_text(rate)}"))
+        if self.rate_at_median is not None:
+            rows.append(("", f"PGV above its median: {_rate_text(self.rate_at_median)}"))
+        targets = ", ".join(f"{100.0 * share:g} % for risk category {name}" for name, share in RISK_CATEGORIES.items())
+        rows.append(("targets", f"{targets}; probability of failure given MCE_R (ASCE 7-16)"))
+        if self.outside is not None:
+            with_added = ", with the added uncertainty," if hazard.added_dispersion or hazard.bias else ""
+            lie = f"of the pulses{with_added} lie outside the campaign's design space; none is clipped"
+            rows.append(("outside", f"{percent(self.outside.share)} {lie}"))
+            for name, unit, side, bound, share in self.outside.parts:
+                rows.append(("", f"{name} {side} {bound:g}{f' {unit}' if unit else ''}: {percent(share)}"))
+        return titled([*rows, *(("note", sentence) for sentence in self.assumptions)], 12)
+
     def as_json(self) -> dict[str, Any]:
         """The summary as JSON values."""
-        settings, hazard = self.hazard.settings, self.hazard
+        settings, hazard, outside = self.hazard.settings, self.hazard, self.outside
+        sections = ("properties", "record_factor", "uncertainty")
         return {
             "title": hazard.title,
             "source": self.source,
@@ -187,16 +145,35 @@ class HazardSummary:
                 spread.name: {k: v for k, v in spread._asdict().items() if k != "name"} for spread in self.spreads
             },
             "correlation_of_logarithms": self.correlation,
-            "properties": settings.properties.model_dump() if settings.properties else None,
-            "record_factor": settings.record_factor.model_dump() if settings.record_factor else None,
-            "uncertainty": settings.uncertainty.model_dump() if settings.uncertainty else None,
+            **{name: one.model_dump() if (one := getattr(settings, name)) else None for name in sections},
             "added_dispersion": hazard.added_dispersion,
             "bias": hazard.bias,
-            "curve": [{"pgv_m_s": p.pgv, "annual_rate": p.rate, "return_period": p.return_period} for p in self.curve],
+            "curve": [{"pgv_m_s": v, "annual_rate": rate, "return_period": 1.0 / rate} for v, rate in self.curve],
             "annual_rate_at_median_pgv": self.rate_at_median,
             "targets": RISK_CATEGORIES,
             "assumptions": self.assumptions,
+            "outside": outside
+            and {
+                "total": outside.share,
+                "parts": [part._asdict() for part in outside.parts],
+                "bearing": list(self.bearing),
+                "interval": None,
+                "interval_reason": f"the share of {len(outside.X):,} points of a scrambled Sobol' sequence",
+            },
         }
+
+
+def _outside(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]) -> Outside:
+    """What of a hazard's pulses lies outside a design space, in the variables of the pulse and those with values."""
+    check_applies(hazard, space, fixed)
+    known = tuple(one for one in space.parameters if one.name in {PERIOD, AMPLITUDE, *fixed})
+    pulses, certain = hazard.pulses()
+    names = tuple(one.name for one in known)
+    return Question(hazard.title, names, pulses, {**fixed, **certain}, hazard.factors).outside(DesignSpace(known))
+
+
+def _rate_text(rate: float) -> str:
+    return f"annual rate {rate:.3g} (return period {1.0 / rate:,.0f} years)"
 
 
 _VELOCITY_PULSE = "T_velocity"
@@ -247,10 +224,3 @@ def _spreads_of_rows(hazard: Hazard) -> tuple[tuple[Spread, ...], float]:
     covariance = float(weight @ (centred(period) * centred(pgv)))
     # Rows of one period, or of one velocity, have no correlation.
     return spreads, max(-1.0, min(1.0, covariance / product)) if product > 1e-12 else 0.0
-
-
-def _rate_at(curve: tuple[CurvePoint, ...], pgv: float) -> float | None:
-    if not curve or not curve[0].pgv <= pgv <= curve[-1].pgv:
-        return None
-    pgvs, rates = np.array([[point.pgv, point.rate] for point in curve]).T
-    return float(exceedance(pgvs, rates, np.array([pgv]))[0])

@@ -16,8 +16,8 @@ from activefail.bearing.design import TABLE_1
 from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
 from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
 from activefail.campaign.hazard_sections import RELATIONS
+from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
-from activefail.campaign.question_files import read_question
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
@@ -26,7 +26,7 @@ from activefail.reliability.estimate import Doubt, Plan
 from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.hazard_summary import HazardSummary, Outside
+from activefail.risk.hazard_summary import HazardSummary
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles
@@ -37,7 +37,6 @@ PERIOD = '[pulse_period]\nmedian_s = 3.0\ndispersion = 0.5\ndefinition = "accele
 PGV = "[pgv]\nmedian_m_s = 0.8\ndispersion = 0.3\n"
 CORRELATED = f"{PERIOD}{PGV}correlation_with_period = 0.6\n"
 UNCERTAIN = "[uncertainty]\ndesign_requirements = 0.2\ntest_data = 0.1\n[record_factor]\nbias = 0.1\ndispersion = 0.2\n"
-SETTINGS = parse_settings("", "made.toml")
 
 
 def hazard(folder: Path, text: str) -> Hazard:
@@ -47,7 +46,7 @@ def hazard(folder: Path, text: str) -> Hazard:
 
 
 def asked(folder: Path, text: str, pgv: float | None = None, fixed: dict[str, float] = BEARING) -> Question:
-    return hazard_question(hazard(folder, text), SETTINGS, TABLE_1, fixed, pgv)
+    return hazard_question(hazard(folder, text), TABLE_1, fixed, pgv)
 
 
 def logarithms(space: DesignSpace | WeightedRows, n: int = 2**14) -> dict[str, Array]:
@@ -158,7 +157,7 @@ def test_rows_enter_with_their_weights_and_those_without_weight_not_at_all(tmp_p
     assert read.rows.weight.tolist() == [1.5, 0.5]
     assert read.median_velocity == 0.5
     assert read.median_period == pytest.approx(2.0**0.25)
-    question = hazard_question(read, SETTINGS, TABLE_1, BEARING)
+    question = hazard_question(read, TABLE_1, BEARING)
     X, weight = integration_points(question.space, 4)
     above = question.designs(X)[:, TABLE_1.names.index("T_p")] > 1.5
     assert (weight * above).mean() == pytest.approx(0.25)
@@ -166,8 +165,8 @@ def test_rows_enter_with_their_weights_and_those_without_weight_not_at_all(tmp_p
 
 def test_rows_of_amplitudes_are_the_same_pulses_as_rows_of_velocities(tmp_path: Path) -> None:
     amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
-    one = hazard_question(rows(tmp_path, "T_p,PGV\n2.0,1.0\n"), SETTINGS, TABLE_1, BEARING)
-    other = hazard_question(rows(tmp_path, f"A_p,T_p\n{amplitude!r},2.0\n"), SETTINGS, TABLE_1, BEARING)
+    one = hazard_question(rows(tmp_path, "T_p,PGV\n2.0,1.0\n"), TABLE_1, BEARING)
+    other = hazard_question(rows(tmp_path, f"A_p,T_p\n{amplitude!r},2.0\n"), TABLE_1, BEARING)
     (x, _), (y, _) = integration_points(one.space, 1), integration_points(other.space, 1)
     assert one.designs(x) == pytest.approx(other.designs(y))
 
@@ -215,7 +214,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
     T, V, weight = rng.uniform(1, 5, 12_000), rng.lognormal(-0.3, 0.4, 12_000), rng.random(12_000)
     table = "".join(f"{a},{b},{w}\n" for a, b, w in zip(T, V, weight, strict=True))
     read = rows(tmp_path, "T_p,PGV,weight\n" + table, more)
-    asked = hazard_question(read, SETTINGS, TABLE_1, BEARING)
+    asked = hazard_question(read, TABLE_1, BEARING)
     counted: list[int] = []
 
     def fails(X: Array) -> Array:
@@ -230,7 +229,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
     assert found.probability[0] == pytest.approx(true, abs=0.015)
     (deaggregation,) = deaggregated(
         lambda X: fails(X)[:, None],
-        lambda of: hazard_question(of, SETTINGS, TABLE_1, BEARING),
+        lambda of: hazard_question(of, TABLE_1, BEARING),
         read,
         found.probability,
     )
@@ -267,7 +266,7 @@ def test_a_regular_table_is_thinned_without_missing_a_part_of_it() -> None:
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
     read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
     with pytest.raises(InputError, match=r"^k: requires a value, because the hazard is a table of pulses"):
-        hazard_question(read, SETTINGS, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
+        hazard_question(read, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
 
 
 def test_quantiles_of_weighted_values_are_the_least_that_hold_the_share() -> None:
@@ -298,7 +297,7 @@ def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
     read = hazard(tmp_path, text)
     values = {"lower": (0.048, 0.6175), "upper": (0.078, 0.65), "nominal": (0.06, 0.65)}
     for bound, (mu, capacity) in values.items():
-        question = hazard_question(read.at_bound(bound), SETTINGS, TABLE_1, BEARING)  # type: ignore[arg-type]
+        question = hazard_question(read.at_bound(bound), TABLE_1, BEARING)  # type: ignore[arg-type]
         design = question.designs(np.array([[2.0, 1.0]]))[0]
         assert (design[1], design[2]) == (pytest.approx(mu), pytest.approx(capacity))
     assert "friction × 0.8, displacement capacity × 0.95" in read.assumptions[0]
@@ -314,7 +313,7 @@ def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, c
     read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\n{bound}\n")
     key = bound.split()[0]
     with pytest.raises(InputError, match=rf"properties\.{key}: cannot be applied, because the campaign"):
-        hazard_question(read, settings, settings.design_space(), {})
+        hazard_question(read, settings.design_space(), {})
 
 
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
@@ -358,7 +357,7 @@ def test_questions_have_the_digests_that_they_had_before_there_were_hazards(
     settings = parse_settings(OLD, "old.toml")
     path = tmp_path / "question.toml"
     path.write_text(f"[space]\n{text}\n")
-    assert read_question(path, settings, settings.design_space(), {}).digest == digest
+    assert read_question(path, settings.design_space(), {}).digest == digest
 
 
 def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: Path) -> None:
@@ -371,7 +370,7 @@ def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: 
         one.at({"mu": 0.07}).digest,
         asked(tmp_path, text, pgv=1.0).digest,
         asked(tmp_path, text.replace("mu_lower = 0.8", "mu_lower = 0.9")).digest,
-        hazard_question(hazard(tmp_path, text).at_bound("nominal"), SETTINGS, TABLE_1, BEARING).digest,
+        hazard_question(hazard(tmp_path, text).at_bound("nominal"), TABLE_1, BEARING).digest,
     }
     assert len(digests) == 6
 
@@ -379,14 +378,14 @@ def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: 
 def test_a_file_is_a_hazard_or_a_question_by_its_keys(tmp_path: Path) -> None:
     path = tmp_path / "asked.toml"
     path.write_text(PERIOD + PGV)
-    assert read_question(path, SETTINGS, TABLE_1, BEARING).space.names == ("T_p", "PGV")
+    assert isinstance(read_question(path, TABLE_1, BEARING), Hazard)
     path.write_text("[space]\nmu = { value = 0.05 }\n")
-    assert "mu" not in read_question(path, SETTINGS, TABLE_1, {}).space.names
+    assert "mu" not in read_question(path, TABLE_1, {}).space.names
     path.write_text("[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.01]\n")
     with pytest.raises(InputError, match=r"requires `magnitude`, `pulse_period` or `samples`"):
-        read_question(path, SETTINGS, TABLE_1, {})
+        read_question(path, TABLE_1, {})
     path.write_text("[space]\nT_p = { value = 2.0 }\nPGV = { value = 1.0 }\n")
-    question = read_question(path, SETTINGS, TABLE_1, {})
+    question = read_question(path, TABLE_1, {})
     amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
     assert question.designs(np.zeros((1, 7)))[0, 7:] == pytest.approx([2.0, amplitude])
 
@@ -408,36 +407,24 @@ WRONG = [
     ("[magnitude]\nM = 7\n" + PERIOD + PGV, "`magnitude` cannot be combined with `pulse_period`"),
     (f'samples = "a.csv"\n{PGV}', "`samples` cannot be combined with `pgv`"),
     ('samples = ""\n', "samples: "),
-    ("", "requires `magnitude`"),
     (PERIOD + PGV.replace("0.8", "80"), f"pgv.median_m_s: must be at most 5 m/s, got 80{UNIT}"),
     (PERIOD + PGV.replace("0.3", "0"), "pgv.dispersion: must be greater than or equal to 0.001, got 0"),
-    (PERIOD + PGV.replace("0.3", "1e-9"), "pgv.dispersion: must be greater than or equal to 0.001, got 1e-09"),
-    (PERIOD + PGV.replace("0.3", "25"), "pgv.dispersion: must be less than or equal to 2, got 25"),
     (PERIOD + PGV.replace("0.8", "nan"), "pgv.median_m_s: must be a finite number, got nan"),
-    (PERIOD + PGV.replace("0.8", "inf"), "pgv.median_m_s: must be a finite number, got inf"),
-    (PERIOD + PGV.replace("0.8", "-1"), "pgv.median_m_s: must be greater than or equal to 0.001, got -1"),
-    (PERIOD + PGV.replace("0.8", "true"), "pgv.median_m_s: must be a valid number, got True"),
     (PERIOD + PGV.replace("0.8", '"0.8"'), "pgv.median_m_s: must be a valid number, got '0.8'"),
-    (PERIOD.replace("3.0", "1e300") + PGV, "pulse_period.median_s: must be less than or equal to 30, got 1e+300"),
     (PERIOD.replace("acceleration", "wavelet") + PGV, "pulse_period.definition: must be 'velocity' or 'acceleration'"),
-    (PERIOD.replace("median_s", "median") + PGV, "pulse_period.median: unknown key; did you mean 'median_s'?"),
     (PERIOD + PGV.replace("[pgv]", "[pvg]"), "pvg: unknown key; did you mean 'pgv'?"),
     (
         PERIOD + PGV + "correlation_with_period = 1.0\n",
         "pgv.correlation_with_period: must be less than or equal to 0.99",
     ),
     ("magnitude = 7\n" + PGV, "magnitude: must be a table of keys and values, got 7"),
-    ("[magnitude]\nM = 12\n" + PGV, "magnitude.M: must be less than or equal to 9, got 12"),
     ('[magnitude]\nM = 7\nrelation = "baker"\n' + PGV, "magnitude.relation: must be 'shahi-baker-2011', 'baker-2007'"),
     (
         '[magnitude]\nM = 7\nrelation = "somerville-2003-rock"\n' + PGV,
         "magnitude: the relation 'somerville-2003-rock' comes without a dispersion; set `dispersion`",
     ),
     (PERIOD + PGV + "[properties]\nmu_lower = 1.2\n", "properties.mu_lower: must be less than or equal to 1, got 1.2"),
-    (PERIOD + PGV + "[properties]\nmu_upper = 0.8\n", "properties.mu_upper: must be greater than or equal to 1"),
-    (PERIOD + PGV + "[properties]\nfriction = 0.8\n", "properties.friction: unknown key"),
     (PERIOD + PGV + "[record_factor]\nbias = 3\n", "record_factor.bias: must be less than or equal to 1, got 3"),
-    (PERIOD + PGV + "[uncertainty]\ntest_data = -0.1\n", "uncertainty.test_data: must be greater than or equal to 0"),
     (
         PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1]\n",
         "curve.annual_rate: must have at least 2 entries",
@@ -452,7 +439,6 @@ WRONG = [
         PERIOD + PGV + "[curve]\npgv_m_s = [20, 200]\nannual_rate = [0.1, 0.01]\n",
         f"curve.pgv_m_s: must be at most 10 m/s, got 200{UNIT}",
     ),
-    (PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0]\n", "curve.annual_rate.1: must be greater"),
     ("[pgv\n", "not valid TOML"),
 ]
 
@@ -474,27 +460,19 @@ def test_a_question_with_velocities_in_another_unit_is_refused(tmp_path: Path, e
     with pytest.raises(
         InputError, match=f"{path}: space.PGV: its median must be at most 5 m/s, got 80{re.escape(UNIT)}$"
     ):
-        read_question(path, SETTINGS, TABLE_1, {})
+        read_question(path, TABLE_1, {})
 
 
 TABLES = [
     ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
     ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),
-    ("T_p,PGV,Weight\n1,1,1\n", "got T_p,PGV,Weight."),
     ("T_p,PGV\n", "must have 1 to 20000 rows, got 0."),
     ("T_p,PGV\n" + "1,1\n" * 20_001, "must have 1 to 20000 rows, got 20001."),
     ("T_p,PGV,weight\n1,1,0\n1,1,0\n", "column weight: at least one weight must be positive, got 0 in every row."),
-    ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be finite and at least 0, got -2."),
-    ("T_p,PGV,weight\n1,1,nan\n", "row 1 (line 2), column weight: must be finite and at least 0, got nan."),
-    ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s, got 80; is it in cm/s?\n"),
+    ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be between 0 and 1e+75, got -2."),
+    ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s (not cm/s), got 80."),
     ("T_p,PGV\n0,1\n", "row 1 (line 2), column T_p: must be between 0.05 and 30 s, got 0."),
     ("T_p,A_p\n1,1e300\n", "column A_p: must be between 0.0001 and 10 g, got 1e+300."),
-    ("T_p,PGV\nnan,1\n", "column T_p: must be between 0.05 and 30 s, got nan."),
-    ("T_p,PGV\n1,fast\n", "row 1 (line 2), column PGV: must be a number, got 'fast'."),
-    ("T_p,PGV\n1_0,1\n", "column T_p: must be a number, got '1_0'."),
-    ("T_p,PGV\n1\n", "must have 2 cells, like the header, has 1"),
-    ("T_p;PGV\n1;1\n", "columns must be separated by commas"),
-    ("", "is empty"),
 ]
 
 
@@ -565,19 +543,21 @@ def test_the_summary_of_rows_is_that_of_the_distribution_that_they_sample(tmp_pa
 
 def test_the_share_outside_is_counted_by_variable_and_side(tmp_path: Path) -> None:
     read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n")
-    outside = Outside.of(read, TABLE_1, {})
+    outside = HazardSummary.of(read, TABLE_1).outside
+    assert outside is not None
     parts = {(part.name, part.side): part.share for part in outside.parts}
     assert parts["T_p", "above"] == pytest.approx(ndtr(-math.log(5.0 / 3.0) / 0.5), abs=1e-3)
     spread = math.hypot(0.5, 0.3)
     low = math.log(float(amplitude_of(np.array(0.8), np.array(3.0))) / 0.1) / spread
     assert parts["A_p", "below"] == pytest.approx(ndtr(-low), abs=1e-3)
-    assert max(parts.values()) < outside.total < sum(parts.values())
-    question = hazard_question(read, SETTINGS, TABLE_1, BEARING)
-    assert question.share_outside(TABLE_1) == pytest.approx(outside.total, abs=1e-12)
+    assert max(parts.values()) < outside.share < sum(parts.values())
+    question = hazard_question(read, TABLE_1, BEARING)
+    assert question.share_outside(TABLE_1) == pytest.approx(outside.share, abs=1e-12)
     # The factor of the lower bound takes the friction below the campaign's range.
-    low_friction = Outside.of(read, TABLE_1, {"mu": 0.024})
+    low_friction = HazardSummary.of(read, TABLE_1, {"mu": 0.024}).outside
+    assert low_friction is not None
     assert ("mu", "below", 1.0) in [(part.name, part.side, part.share) for part in low_friction.parts]
-    assert low_friction.total == 1.0
+    assert low_friction.share == 1.0
 
 
 def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) -> None:
@@ -653,7 +633,7 @@ def test_values_that_cannot_be_asked_for_end_in_one_message(
 def test_values_need_a_run_folder(tmp_path: Path) -> None:
     path = tmp_path / "site.toml"
     path.write_text(PERIOD + PGV)
-    refused(activefail("hazard", path, "--fixed", path), "--fixed: requires a run folder, whose variables it fixes.")
+    refused(activefail("hazard", path, "--fixed", path), "fixed: requires a run folder, whose variables it fixes.")
     refused(activefail("hazard", tmp_path / "none.toml"), "none.toml: cannot be read: No such file or directory")
 
 

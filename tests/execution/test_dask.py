@@ -31,8 +31,8 @@ from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
 from activefail.risk.ida import kept
-from activefail.risk.ida.capacity import Answers, Runs
-from activefail.risk.ida.simulations import CampaignSimulations
+from activefail.risk.ida.capacity import Answers
+from activefail.risk.ida.simulations import CampaignSubject
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
 from activefail.space import DesignSpace
@@ -484,15 +484,15 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
     words = (*words, "--simulator", "plate.toml", "--out")
     assert activefail(*words, "whole", "--workers", "1").code == 0
     monkeypatch.setattr(kept, "_PART", 10)
-    here, parts = CampaignSimulations.__call__, iter(range(2))
+    here, parts = CampaignSubject.simulate, iter(range(2))
 
-    def stopping(self: CampaignSimulations, runs: Runs) -> Answers:
-        if len(runs) == 10 and next(parts, None) is None:
+    def stopping(self: CampaignSubject, *about) -> Answers:
+        if len(about[-1]) == 10 and next(parts, None) is None:
             raise KeyboardInterrupt
-        return here(self, runs)
+        return here(self, *about)
 
     with monkeypatch.context() as patched:
-        patched.setattr(CampaignSimulations, "__call__", stopping)
+        patched.setattr(CampaignSubject, "simulate", stopping)
         assert activefail(*words, "stopped", "--workers", "1").code == 130
     for path in tmp_path.glob("simulated-*"):
         path.unlink()

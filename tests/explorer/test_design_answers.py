@@ -69,7 +69,7 @@ def test_the_required_value_and_its_curve_are_those_of_the_classifier(design, fi
     reply = design.required(design.asked(REQUEST), refined)
     campaign = findings.campaign
     latent = boundary_of(findings.classifier, campaign.features, "failure")
-    question = hazard_question(read_hazard(hazard), campaign.settings, campaign.space, BEARING)
+    question = hazard_question(read_hazard(hazard), campaign.space, BEARING)
 
     def probability(at: float) -> float:
         return classifier_probability(latent, question.at({"D_tot": at}), reply["points"])

@@ -10,10 +10,10 @@ from report.browser import NO_BROWSER, browser, console_errors, photograph, scre
 from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
 
-from activefail.arguments import site_and_question
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
 from activefail.campaign.hazard import read_hazard
+from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.report.fragility_section import risk_findings, risk_options
@@ -173,7 +173,6 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
         lambda text: text.replace('"target": 0.05', '"target": 0.1'),
         lambda text: text.replace('"look": 1', '"look": 2').replace('"look": 2', '"look": 7'),
         lambda text: text.replace('"D_tot": 0.', '"D_tot": 1.'),
-        lambda text: text.replace('"confidence": 0.95', '"confidence": "high"'),
         lambda text: text.replace('"D_tot"', '"T_b"'),
         lambda _: "3",
         lambda _: "[null]",
@@ -185,8 +184,9 @@ def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: P
     wanted = [Requirement("failure", 0.05)]
     with open_run(folder, code=verified) as opened:
         hazard = read_hazard(verified / "site.toml")
-        _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
+        asked_of_site = Inquiry.of(opened.campaign, hazard, None, verified / "bearing.toml")
         with estimating(opened, simulates=False) as estimator:
+            question = asked_of_site.question
             assert len(stored_designs(estimator, question, "D_tot", wanted)) == 1
             assert not stored_designs(estimator, question.at({"mu": 0.07}), "D_tot", wanted)
             entries = opened.store.recall(("verified designs",))
@@ -199,14 +199,14 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
         asked = risk_options(Path("a site.toml"), None, 0.2, ("safe", "damage", "failure"), "failure")
         hazard = read_hazard(verified / "site.toml")
         with estimating(opened, simulates=False) as estimator:
-            _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
-            found = risk_findings(estimator, hazard, question, asked)
+            asked_of_site = Inquiry.of(opened.campaign, hazard, None, verified / "bearing.toml")
+            found = risk_findings(estimator, asked_of_site, asked)
             assert found.chart is not None
             assert found.chart.targets.tolist() == [0.2]
             assert found.options == "--hazard 'a site.toml' --target 0.2"
-            assert found.designs == ()
-            _, question = site_and_question(opened.campaign, hazard, None, {"mu": 0.06})
-            found = risk_findings(estimator, hazard, question, asked)
+            assert not found.designs
+            asked_of_site = Inquiry.of(opened.campaign, hazard, None, {"mu": 0.06})
+            found = risk_findings(estimator, asked_of_site, asked)
             assert found.chart is None
             assert "two variables besides D_tot" in found.why_no_chart
 
@@ -216,8 +216,8 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
     [
         (["--fixed", "bearing.toml"], "--fixed requires --hazard."),
         (["--target", "0.1"], "--target requires --hazard."),
-        (["--hazard", "site.toml", "--target", "2"], "target: must be between 0.001 and 0.9, got 2."),
-        (["--hazard", "site.toml", "--target", "V"], "target: must be a probability, a risk category (II, III, IV)"),
+        (["--hazard", "site.toml", "--target", "2"], "target: must be a probability between 0.001 and 0.9"),
+        (["--hazard", "site.toml", "--target", "V"], "a risk category (II, III, IV)"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
         (["--hazard", "none.toml"], "none.toml"),
     ],

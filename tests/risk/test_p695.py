@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from commandline import activefail, refused
+from commandline import activefail
 
 from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import Accelerogram
@@ -96,13 +96,9 @@ def test_ratings_that_are_none_are_refused(ratings: str) -> None:
     ("options", "message"),
     [
         ({"ssf": 1.2}, "--ssf requires --mce."),
-        ({"beta_total": 0.5}, "--beta-total requires --mce."),
         ({"mce": 1.0, "sdc": "dmax"}, "--sdc requires --ductility"),
         ({"mce": 1.0, "ductility": 3.0}, "--ductility requires --sdc or --ratings."),
-        ({"mce": 1.0, "ductility": 0.9, "ratings": "A,A,A"}, "--ductility: must be at least 1, got 0.9."),
-        ({"mce": 1.0, "ductility": math.nan, "ratings": "A,A,A"}, "--ductility: must be at least 1, got nan."),
         ({"mce": 1.0, "ssf": 1.2, "sdc": "dmax", "ductility": 8.0}, "--ssf cannot be combined with --sdc"),
-        ({"mce": 1.0, "beta_total": 0.5, "ratings": "A,A,A"}, "--beta-total cannot be combined with --ratings"),
     ],
 )
 def test_options_that_need_or_exclude_others_say_so(options: dict, message: str) -> None:
@@ -146,18 +142,6 @@ def test_the_command_computes_shape_factor_and_dispersion(
     assert numbers["cmr"] == pytest.approx(numbers["median"] / (0.9 / 3.5))
     assert numbers["acmr"] == pytest.approx(numbers["shape_factor"] * numbers["cmr"])
     assert numbers["acceptable_acmr_10"] == pytest.approx(np.exp(1.2815516 * numbers["beta_total"]))
-
-
-def test_a_folder_of_records_has_no_shape_factor(tmp_path: Path) -> None:
-    (tmp_path / "bearing.toml").write_text(TOML)
-    for name in ("a.txt", "b.txt"):
-        (tmp_path / name).write_text("0\n1\n0\n")
-    words = ("ida", "--records", tmp_path, "--bearing", tmp_path / "bearing.toml", "--unit", "g", "--dt", "0.01")
-    margin = ("--mce", "1.1", "--sdc", "dmax", "--ductility", "4")
-    refused(activefail(*words, *margin), "--sdc: requires --scale-to p695", "with --ssf.")
-    refused(
-        activefail(*words, *margin, "--scale-to", "p695"), "--scale-to p695: requires --records farfield or nearfield"
-    )
 
 
 def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set(package: SimpleNamespace) -> None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from activefail.campaign.assembly import Campaign
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
 from activefail.expressions import parse_expression
@@ -27,15 +27,10 @@ SIMULATIONS = 1000
 
 
 class LookPlan(NamedTuple):
-    """One look of the verification.
+    """The shares of one look of the verification."""
 
-    Attributes:
-        simulations: share of all simulations.
-        error: share of the probability of a false result.
-    """
-
-    simulations: float
-    error: float
+    simulations: float  # of all simulations
+    error: float  # of the probability of a false result
 
 
 LOOKS = (LookPlan(0.4, 0.8), LookPlan(0.6, 0.2))
@@ -57,31 +52,19 @@ _MOST_YEARS = 1e4
 
 
 class Requirement(NamedTuple):
-    """The probability that an outcome, or a more severe one, may have at most.
-
-    Attributes:
-        outcome: its name.
-        target: largest acceptable probability, given one draw of the question, or in a number of years.
-        years: the number; None for one draw.
-    """
+    """The probability that an outcome, or a more severe one, may have at most."""
 
     outcome: str
-    target: float
+    target: float  # given one draw of the question, or in a number of years
     years: float | None = None
 
 
 class Rate(NamedTuple):
-    """How often pulses of a hazard's curve occur.
+    """How often pulses of a hazard's curve occur."""
 
-    Attributes:
-        annual: rate of pulses of at least `velocity` [1/year].
-        velocity: the least of the curve [m/s].
-        years: of the target.
-    """
-
-    annual: float
-    velocity: float
-    years: float
+    annual: float  # rate of pulses of at least `velocity` [1/year]
+    velocity: float  # the least of the curve [m/s]
+    years: float  # of the target
 
     def risk(self, probability: float) -> float:
         """The probability of at least one occurrence in these years, given its probability in one pulse."""
@@ -97,7 +80,7 @@ class DesignTask:
     """What a design must meet, and what may change.
 
     Attributes:
-        question: the distribution of the variables; free variables get a value.
+        asked: what is asked; free variables get a value.
         low, high: range of each free variable. The first is made as small as the requirements allow; the others are
             searched.
         cost: of the values of the free variables; smaller is better.
@@ -108,7 +91,7 @@ class DesignTask:
         rate: how often the question's pulses occur, if the targets were risks in a number of years.
     """
 
-    question: Question
+    asked: Inquiry
     low: Mapping[str, float]
     high: Mapping[str, float]
     cost: Callable[[Mapping[str, float]], float]
@@ -117,6 +100,11 @@ class DesignTask:
     confidence: float
     simulations: int
     rate: Rate | None = None
+
+    @property
+    def question(self) -> Question:
+        """The distribution of the variables."""
+        return self.asked.question
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -174,48 +162,35 @@ def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Require
 
 
 def _requirement(outcome: str, text: str) -> Requirement:
-    years = _YEARS.fullmatch(text)
-    if years is None:
-        return Requirement(outcome, _probability(text))
-    try:
-        share, number = _number(years[1].replace(" ", "")), float(years[2])
-    except ValueError:
-        share, number = math.nan, math.nan
-    if not (0.0 < share <= 0.9 and 0.0 < number <= _MOST_YEARS):
+    """The target of an outcome."""
+    share, years = text, None
+    if (risk := _YEARS.fullmatch(text)) is not None:
+        share, years = risk[1].replace(" ", ""), _number(risk[2])
+    target = RISK_CATEGORIES.get(text) or _number(share)
+    if years is not None:
+        if not (0.0 < target <= 0.9 and 0.0 < years <= _MOST_YEARS):
+            raise InputError(
+                f"target: a risk must be above 0 and at most 90 %, in at most {_MOST_YEARS:g} years, got {text!r}."
+            )
+    elif not LEAST_TARGET <= target <= 0.9:
+        names = ", ".join(RISK_CATEGORIES)
         raise InputError(
-            f"target: a risk must be above 0 and at most 90 %, in at most {_MOST_YEARS:g} years, got {text!r}."
+            f"target: must be a probability between {LEAST_TARGET:g} and 0.9, a risk category ({names}) or a risk such "
+            f"as '1% in 50 years', got {text}."
         )
-    return Requirement(outcome, share, number)
+    return Requirement(outcome, target, years)
 
 
 def _number(text: str) -> float:
-    """A number or a percentage.
-
-    Raises:
-        ValueError: if it is neither.
-    """
-    return float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
-
-
-def _probability(text: str) -> float:
-    if text in RISK_CATEGORIES:
-        return RISK_CATEGORIES[text]
+    """A number or a percentage; NaN if it is neither."""
     try:
-        target = _number(text)
+        return float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
     except ValueError:
-        names = ", ".join(RISK_CATEGORIES)
-        raise InputError(
-            f"target: must be a probability, a risk category ({names}) or a risk such as '1% in 50 years', got "
-            f"{text!r}."
-        ) from None
-    if not LEAST_TARGET <= target <= 0.9:
-        raise InputError(f"target: must be between {LEAST_TARGET:g} and 0.9, got {text}.")
-    return target
+        return math.nan
 
 
 def design_task(
-    campaign: Campaign,
-    question: Question,
+    asked: Inquiry,
     requirements: tuple[Requirement, ...],
     free: Sequence[str] = (),
     cost: str = "",
@@ -223,11 +198,10 @@ def design_task(
     simulations: int = SIMULATIONS,
     rate: Rate | None = None,
 ) -> DesignTask:
-    """The task of a campaign.
+    """The task of a campaign, which gives the free variables their ranges.
 
     Args:
-        campaign: the campaign; it gives the free variables their ranges.
-        question: the distribution of the variables.
+        asked: what is asked of the campaign.
         requirements: the targets.
         free: names of the variables that may change; D_tot if there are none.
         cost: expression of the campaign's variables that is made small; the first free variable if empty.
@@ -238,7 +212,7 @@ def design_task(
     Raises:
         InputError: naming the argument, the rule and the value.
     """
-    space = campaign.space
+    space, question = asked.campaign.space, asked.question
     names = tuple(free) or ((DEFAULT_FREE,) if DEFAULT_FREE in space.names else ())
     if not names:
         raise InputError(f"free: name the variables that may change; the campaign has {', '.join(space.names)}.")
@@ -247,21 +221,16 @@ def design_task(
             raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
         if names.count(name) > 1:
             raise InputError(f"free: names {name!r} twice.")
-    if PGV in {*question.space.names, *question.fixed}:
-        for name in (PERIOD, AMPLITUDE):
-            if name in names:
-                raise InputError(
-                    f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the "
-                    "bearing."
-                )
-    if not 0.5 <= confidence < 1.0:
-        raise InputError(f"confidence: must be at least 0.5 and below 1, got {confidence}.")
+        if PGV in {*question.space.names, *question.fixed} and name in (PERIOD, AMPLITUDE):
+            raise InputError(
+                f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the bearing."
+            )
     if set(question.space.names) <= set(names):
         raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
-    ranges = dict(zip(space.names, zip(space.low.tolist(), space.high.tolist(), strict=True), strict=True))
-    low, high = {name: ranges[name][0] for name in names}, {name: ranges[name][1] for name in names}
+    ranges = {one.name: (one.low, one.high) for one in space.parameters}
+    low, high = ({name: ranges[name][side] for name in names} for side in (0, 1))
     price, text = _cost(cost, names, {**space.fixed, **question.fixed}, low, high)
-    return DesignTask(question, low, high, price, text, requirements, confidence, simulations, rate)
+    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate)
 
 
 def _cost(

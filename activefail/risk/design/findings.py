@@ -30,9 +30,7 @@ class DesignFindings:
     """A design that meets its targets, or the nearest one.
 
     Attributes:
-        campaign: the campaign.
         designed: the result of the search.
-        hazard: the hazard of the question; None for another question.
         outside: what of the question lies outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
@@ -41,13 +39,21 @@ class DesignFindings:
         chart: values that targets require; None if it was not asked for.
     """
 
-    campaign: Campaign
     designed: Designed
-    hazard: Hazard | None
     outside: Outside
     at_upper: tuple[float, ...] = ()
     at_least: tuple[float, ...] = ()
     chart: RequiredChart | None = None
+
+    @property
+    def campaign(self) -> Campaign:
+        """The campaign."""
+        return self.designed.task.asked.campaign
+
+    @property
+    def hazard(self) -> Hazard | None:
+        """The hazard of the question; None for another question."""
+        return self.designed.task.asked.hazard
 
     @property
     def bearing(self) -> dict[str, float]:
@@ -95,7 +101,7 @@ class DesignFindings:
     def assumptions(self) -> list[str]:
         """What the result assumes, as sentences."""
         task = self.designed.task
-        sentences = list(self.designed.question.assumptions)
+        sentences, limit = list(self.designed.question.assumptions), self.designed.result.of_bound
         if (rate := task.rate) is not None:
             at_least = ", ".join(percent(share) for share in self.at_least)
             sentences.append(
@@ -103,13 +109,11 @@ class DesignFindings:
                 f"the classifier's probability is {at_least} (no interval). Above its last point the curve is "
                 "extrapolated."
             )
-        ignored = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
-        for name, value in ignored.items():
-            sentences.append(f"{name} is a free variable, so its given value {value:g} was ignored.")
-        kept = [name for name in self.uncertain if name in self.campaign.space.names]
-        if self.hazard is not None:
-            kept = [name for name in kept if name not in ("T_p", "A_p")]
-        if kept:
+        for name in task.free:
+            if (value := task.question.fixed.get(name)) is not None:
+                sentences.append(f"{name} is a free variable, so its given value {value:g} was ignored.")
+        of_pulse = () if self.hazard is None else ("T_p", "A_p")
+        if kept := [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]:
             sentences.append(
                 f"No value is given for {', '.join(kept)}. The distribution is that of the question, or else the "
                 "campaign's."
@@ -156,7 +160,7 @@ class DesignFindings:
             sentences.append(
                 "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
                 f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
-                f"({100.0 * self.designed.result.of_bound:.3g} % confidence)."
+                f"({100.0 * limit:.3g} % confidence)."
             )
         return [*sentences, *limits_of(self.campaign.simulator)]
 
@@ -169,11 +173,11 @@ class DesignFindings:
                 return (
                     f"The design meets its target: the upper bound from fresh simulations lies below it. {self._ending}"
                 )
-            case "not verified" if designed.surprising:
+            case "not verified" if designed.result.surprising:
                 return (
-                    f"Not verified: fresh simulations ({designed.surprising} of {designed.simulations}) contradict the "
-                    "classifier where it was sure, so its boundary is wrong there. Continue the campaign, then search "
-                    "again."
+                    f"Not verified: fresh simulations ({designed.result.surprising} of {designed.simulations}) "
+                    "contradict the classifier where it was sure, so its boundary is wrong there. Continue the "
+                    "campaign, then search again."
                 )
             case "not verified":
                 return (
@@ -202,18 +206,17 @@ class DesignFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        designed = self.designed
-        task = designed.task
+        designed, task, result = self.designed, self.designed.task, self.designed.result
         requirements = [
             {
                 "outcome": one.outcome,
                 "target": one.target,
-                **_estimate_json(estimate),
+                **estimate.numbers,
                 "classifier_probability": model,
-                "risk": None if task.rate is None else _risk_json(task.rate, one.target, estimate),
+                "risk": task.rate and _risk_json(task.rate, one.target, estimate),
             }
             for one, estimate, model in zip(
-                task.requirements, designed.result.estimates, designed.result.candidate.model.tolist(), strict=True
+                task.requirements, result.estimates, result.candidate.model.tolist(), strict=True
             )
         ]
         return {
@@ -225,25 +228,25 @@ class DesignFindings:
             "confidence": task.confidence,
             "simulations": designed.simulations,
             "requirements": requirements,
-            "confidence_of_each_bound": designed.result.of_bound,
+            "confidence_of_each_bound": result.of_bound,
             "look": designed.number,
             "looks": [
                 {
                     "values": dict(look.candidate.values),
                     "classifier_probability": look.candidate.model.tolist(),
                     "confidence_of_each_bound": look.of_bound,
-                    "estimates": [_estimate_json(estimate) for estimate in look.estimates],
+                    "estimates": [estimate.numbers for estimate in look.estimates],
                 }
                 for look in designed.looks
             ],
-            "contradictions_where_sure": designed.surprising,
+            "contradictions_where_sure": result.surprising,
             "could_fail_unseen": designed.missable,
             "at_limit_of_range": designed.at_limit,
             "first_free_variable_by_confidence": {
                 f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
             },
             "lateral_force_over_weight": self.lateral_force,
-            "terms": None if (terms := self.terms) is None else terms.as_json(),
+            "terms": self.terms and self.terms.as_json(),
             "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
             "classifier_probability_at_least_velocity": list(self.at_least) or None,
             "uncertain": self.uncertain,
@@ -253,7 +256,7 @@ class DesignFindings:
                 {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
             ],
             "assumptions": self.assumptions,
-            "chart": None if self.chart is None else _chart_json(self.chart),
+            "chart": self.chart and self.chart.as_json(),
         }
 
     @property
@@ -269,77 +272,60 @@ class DesignFindings:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Titles and texts."""
-        designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
-        task, bound = designed.task, f"{100.0 * designed.result.of_bound:.3g} %"
-        outcomes = self.campaign.simulator.outcomes
-        lines = [("widen", self.outside.advice)] if self.outside.advice else []
-        lines.append(
-            ("design", ", ".join(_value(name, value, units.get(name, "")) for name, value in self.bearing.items()))
-        )
-        lines.append(("result", self.verdict))
-        for one, estimate, model in zip(
-            task.requirements, designed.result.estimates, designed.result.candidate.model, strict=True
-        ):
-            lines.append(
-                (
-                    "verified" if designed.status == "verified" else "estimate",
-                    f"P({visible(or_worse(one.outcome, outcomes))}) = {percent(estimate.probability, 2)}, "
-                    f"{bounds_percent(estimate.low, estimate.high)}, each bound with {bound} confidence; target "
-                    f"{100.0 * one.target:.4g} %; classifier {percent(model, 2)}",
-                )
+        designed, task, result = self.designed, self.designed.task, self.designed.result
+        first, outcomes = task.free[0], self.campaign.simulator.outcomes
+        events = [f"P({visible(or_worse(one.outcome, outcomes))})" for one in task.requirements]
+        units = {p.name: f" {p.unit}" for p in self.campaign.space.parameters if p.unit}
+        values = (f"{name} = {value:.4g}{units.get(name, '')}" for name, value in self.bearing.items())
+        rows = [("widen", self.outside.advice)] if self.outside.advice else []
+        rows += [("design", visible(", ".join(values))), ("result", self.verdict)]
+        title = "verified" if designed.status == "verified" else "estimate"
+        parts = zip(events, task.requirements, result.estimates, result.candidate.model, strict=True)
+        for event, one, estimate, model in parts:
+            bounds = bounds_percent(estimate.low, estimate.high)
+            text = (
+                f"{event} = {percent(estimate.probability, 2)}, {bounds}, each bound with "
+                f"{100.0 * result.of_bound:.3g} % confidence; target {100.0 * one.target:.4g} %; classifier "
+                f"{percent(model, 2)}"
             )
+            rows.append((title, text))
             if (rate := task.rate) is not None:
                 low, middle, high = (rate.risk(P) for P in (estimate.low, estimate.probability, estimate.high))
-                lines.append(
-                    (
-                        "risk",
-                        f"{percent(middle, 2)} in {rate.years:g} years, {bounds_percent(low, high)}; "
-                        f"target {percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least "
-                        f"{rate.velocity:g} m/s a year",
-                    )
+                text = (
+                    f"{percent(middle, 2)} in {rate.years:g} years, {bounds_percent(low, high)}; target "
+                    f"{percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least {rate.velocity:g} m/s a "
+                    "year"
                 )
-        wrong = sum(estimate.wrong for look in designed.looks for estimate in look.estimates)
-        failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)
-        lines.append(
-            (
-                "from",
-                f"{designed.simulations} fresh simulations, contradictions: {wrong}"
-                + (f", {failed} are numerical failures" if failed else "")
-                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; "
-                f"{100.0 * task.confidence:g} % confidence for the result",
-            )
+                rows.append(("risk", text))
+        estimates = [estimate for look in designed.looks for estimate in look.estimates]
+        wrong, failed = (sum(getattr(one, name) for one in estimates) for name in ("wrong", "unanswered"))
+        failures = f", {failed} are numerical failures" if failed else ""
+        text = (
+            f"{designed.simulations} fresh simulations, contradictions: {wrong}{failures}; {len(designed.looks)} of at "
+            f"most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the result"
         )
-        if task.cost_text != task.free[0]:
-            lines.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
-        for name, side in designed.at_limit.items():
-            lines.append(("limit", f"{name} is at the {side} end of its range"))
+        rows.append(("from", text))
+        if task.cost_text != first:
+            rows.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
+        rows += [("limit", f"{name} is at the {side} end of its range") for name, side in designed.at_limit.items()]
         if designed.costs:
-            first = task.free[0]
             shown = ", ".join(
                 f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
                 for confidence, value in designed.costs.items()
             )
-            lines.append(
+            rows.append(
                 ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
             )
-        if (terms := self.terms) is not None:
-            lines += terms.lines(f", {self.friction}")
+        if self.terms is not None:
+            rows += self.terms.lines(f", {self.friction}")
         elif (force := self.lateral_force) is not None:
             text = f"lateral force at D_tot over weight: {force:.3g}, {self.friction} (formula, no interval)"
-            lines.append(("force", text))
-        for one, share in zip(task.requirements, self.at_upper, strict=False):
-            lines.append(
-                (
-                    "upper",
-                    f"P({visible(or_worse(one.outcome, outcomes))}) at the upper property bounds: {percent(share, 2)} "
-                    "(classifier, no interval)",
-                )
+            rows.append(("force", text))
+        for event, share in zip(events, self.at_upper, strict=False):
+            rows.append(
+                ("upper", f"{event} at the upper property bounds: {percent(share, 2)} (classifier, no interval)")
             )
-        return lines + [("note", sentence) for sentence in self.assumptions]
-
-
-def _value(name: str, value: float, unit: str) -> str:
-    return visible(f"{name} = {value:.4g}{' ' + unit if unit else ''}")
+        return rows + [("note", sentence) for sentence in self.assumptions]
 
 
 def _risk_json(rate: Rate, target: float, estimate: ProbabilityEstimate) -> dict[str, Any]:
@@ -351,32 +337,4 @@ def _risk_json(rate: Rate, target: float, estimate: ProbabilityEstimate) -> dict
         "high": rate.risk(estimate.high),
         "annual_rate_of_pulses": rate.annual,
         "least_pgv_m_s": rate.velocity,
-    }
-
-
-def _estimate_json(estimate: ProbabilityEstimate) -> dict[str, Any]:
-    return {
-        "probability": estimate.probability,
-        "low": estimate.low,
-        "high": estimate.high,
-        "simulations": estimate.simulations,
-        "numerical_failures": estimate.unanswered,
-        "contradictions": estimate.wrong,
-        "contradictions_where_sure": estimate.surprising,
-    }
-
-
-def _chart_json(chart: RequiredChart) -> dict[str, Any]:
-    return {
-        "required": chart.name,
-        "across": {"name": chart.across, "values": chart.x.tolist()},
-        "lines": {"name": chart.lines, "values": chart.values.tolist()},
-        "targets": chart.targets.tolist(),
-        "outcome": chart.outcome,
-        "values": [
-            [[None if math.isnan(value) else value for value in line] for line in lines]
-            for lines in chart.required.tolist()
-        ],
-        "interval": None,
-        "reason": "the classifier's values, without simulation",
     }

@@ -1,10 +1,12 @@
 """The chart of required values: the least value of a variable that meets a target, against two others."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from activefail.progress import Stage, silent
 from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask
@@ -19,27 +21,29 @@ _ALONG = 11
 
 @dataclass(frozen=True, eq=False)
 class RequiredChart:
-    """The smallest value of a variable that meets each target, without interval.
+    """The smallest value of a variable that meets each target, without interval."""
 
-    Attributes:
-        name: the required variable.
-        across: the variable of the axis.
-        lines: the variable of the lines.
-        x: (n,) values on the axis.
-        values: (m,) values of the lines.
-        targets: (t,) probabilities.
-        outcome: that has them.
-        required: (t, m, n) value of the required variable; NaN where none of its range meets the target.
-    """
+    name: str  # the required variable
+    across: str  # the variable of the axis
+    lines: str  # the variable of the lines
+    x: Array  # (n,) values on the axis
+    values: Array  # (m,) values of the lines
+    targets: Array  # (t,) probabilities
+    outcome: str  # that has them
+    required: Array  # (t, m, n) value of the required variable; NaN where none of its range meets the target
 
-    name: str
-    across: str
-    lines: str
-    x: Array
-    values: Array
-    targets: Array
-    outcome: str
-    required: Array
+    def as_json(self) -> dict[str, Any]:
+        """The chart as JSON values."""
+        return {
+            "required": self.name,
+            "across": {"name": self.across, "values": self.x.tolist()},
+            "lines": {"name": self.lines, "values": self.values.tolist()},
+            "targets": self.targets.tolist(),
+            "outcome": self.outcome,
+            "values": np.where(np.isnan(self.required), np.array(None), self.required).tolist(),
+            "interval": None,
+            "reason": "the classifier's values, without simulation",
+        }
 
 
 def required_chart(
@@ -49,7 +53,7 @@ def required_chart(
     across: tuple[str, Array],
     lines: tuple[str, Array],
     targets: Array,
-    stage: Callable[[str], None] = lambda _: None,
+    stage: Stage = silent,
 ) -> RequiredChart:
     """The chart of a task's first requirement.
 
@@ -70,16 +74,11 @@ def required_chart(
         stage(f"drawing the chart: {lines[0]} = {value:.3g}")
         for n, x in enumerate(across[1].tolist()):
             shown = {**held, across[0]: x, lines[0]: value}
-            P = np.array(
-                [
-                    classifier_probability(standardised, task.question.at({**shown, name: g}), points)
-                    for g in grid.tolist()
-                ]
-            )
+            questions = (task.question.at({**shown, name: value}) for value in grid.tolist())
+            P = np.array([classifier_probability(standardised, question, points) for question in questions])
             towards_safety = slice(None) if P[-1] <= P[0] else slice(None, None, -1)
-            required[:, m, n] = [
-                least_value(grid[towards_safety], P[towards_safety], target) for target in targets.tolist()
-            ]
+            ordered = grid[towards_safety], P[towards_safety]
+            required[:, m, n] = [least_value(*ordered, target) for target in targets.tolist()]
     return RequiredChart(
         name, across[0], lines[0], across[1], lines[1], targets, task.requirements[0].outcome, required
     )

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from activefail.campaign.question import Question
+from activefail.progress import Stage, silent
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
@@ -69,17 +70,11 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Fresh simulations of a candidate.
-
-    Attributes:
-        candidate: the design.
-        sampled: (r,) the simulations of each requirement.
-        of_bound: confidence of each bound of the intervals.
-    """
+    """Fresh simulations of a candidate."""
 
     candidate: Candidate
-    sampled: tuple[Sampled, ...]
-    of_bound: float
+    sampled: tuple[Sampled, ...]  # (r,) of each requirement
+    of_bound: float  # confidence of each bound of the intervals
 
     @cached_property
     def estimates(self) -> tuple[ProbabilityEstimate, ...]:
@@ -103,8 +98,7 @@ def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float])
     All upper bounds meet their targets, and no simulation contradicts the classifier where it was sure.
 
     Args:
-        estimates: (r,) from fresh simulations of one look.
-        targets: (r,) the largest acceptable probabilities.
+        estimates, targets: (r,) from one look, and the largest acceptable probabilities.
     """
     meets = all(estimate.high <= target for estimate, target in zip(estimates, targets, strict=True))
     return meets and not any(estimate.surprising for estimate in estimates)
@@ -154,11 +148,6 @@ class Designed:
         return sum(look.simulations for look in self.looks)
 
     @property
-    def surprising(self) -> int:
-        """Fresh simulations that contradict the classifier where it was sure."""
-        return self.result.surprising
-
-    @property
     def missable(self) -> float:
         """Largest share of the distribution that may fail unseen where the classifier is sure; 0 if all of it is known.
 
@@ -184,25 +173,24 @@ class Designed:
         return sides
 
 
-class _Model:
-    """The classifier's probabilities of a task's outcomes at values of the free variables."""
+Model = Callable[[Mapping[str, float], int], Array]
+"""The classifier's probability of each requirement's outcome, (r,), at values of the free variables, by some points."""
 
-    def __init__(self, task: DesignTask, standardised: tuple[Standardised, ...]) -> None:
-        self._task, self._standardised = task, standardised
-        self._known: dict[tuple[object, ...], Array] = {}
 
-    def __call__(self, values: Mapping[str, float], points: int) -> Array:
-        """The probability of each requirement's outcome, (r,)."""
+def _model_of(task: DesignTask, standardised: Sequence[Standardised]) -> Model:
+    known: dict[tuple[object, ...], Array] = {}
+
+    def model(values: Mapping[str, float], points: int) -> Array:
         key = (*values.items(), points)
-        if key not in self._known:
-            question = self._task.question.at(values)
-            self._known[key] = np.array([classifier_probability(of, question, points) for of in self._standardised])
-        return self._known[key]
+        if key not in known:
+            question = task.question.at(values)
+            known[key] = np.array([classifier_probability(of, question, points) for of in standardised])
+        return known[key]
+
+    return model
 
 
-def find_design(
-    estimator: Estimator, task: DesignTask, stage: Callable[[str], None] = lambda _: None, with_costs: bool = True
-) -> Designed:
+def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent, with_costs: bool = True) -> Designed:
     """Find the cheapest design that meets its targets, and verify it.
 
     The classifier proposes a design whose probabilities lie below the targets, by as much as the verification needs.
@@ -211,13 +199,9 @@ def find_design(
     share the probability of a false result. The search ends when they are spent, or when a design is verified and the
     next proposal would be cheaper by less than `WORTH`. The cheapest verified design is the result.
 
-    Args:
-        estimator: simulates.
-        task: what the design must meet.
-        stage: called with each stage of the work.
-        with_costs: whether to compute what other confidences would cost.
+    `with_costs` also computes what other confidences would cost.
     """
-    model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
+    model = _model_of(task, [estimator.standardised(one.outcome) for one in task.requirements])
 
     def exactly(candidate: Candidate) -> Candidate:
         """A candidate with its probabilities as every other place shows them, not as the search's points gave them."""
@@ -242,7 +226,10 @@ def find_design(
     for number in range(len(LOOKS)):
         stage(f"searching for the design of look {number + 1}")
         aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(), _LEAST_AIM * task.targets)
-        candidate = cheapest(task, model, _goals(looks, aims))
+        if looks:
+            found = np.array([estimate.probability for estimate in looks[-1].estimates])
+            aims = _corrected(aims, looks[-1].candidate.model, found)
+        candidate = cheapest(task, model, aims)
         if verified:
             least = min(verified)[0]
             if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
@@ -272,14 +259,6 @@ def find_design(
     return replace(designed, costs=_costs(task, model, designed.result))
 
 
-def _goals(looks: Sequence[Look], aims: Array) -> Array:
-    """The classifier's probabilities at which the true ones are expected to meet the aims, (r,)."""
-    if not looks:
-        return aims
-    found = np.array([estimate.probability for estimate in looks[-1].estimates])
-    return _corrected(aims, looks[-1].candidate.model, found)
-
-
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
     """The classifier's probabilities that correspond to aims, (r,), by those at one design.
 
@@ -287,14 +266,12 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
     survival whatever the design. What it lacks is in proportion to its probability.
 
     Args:
-        aims: (r,) probabilities.
-        model: (r,) of the classifier at the design.
-        found: (r,) by simulations.
+        aims, model, found: (r,) each; of the classifier, and by simulations, at the design.
     """
     return np.where(found < model, aims + model - found, aims * model / np.maximum(found, _LEAST))
 
 
-def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
+def _costs(task: DesignTask, model: Model, look: Look) -> dict[float, float]:
     """The value of the first free variable that each confidence would take, the others held."""
     costs = {}
     for confidence in _CONFIDENCES:
@@ -305,7 +282,7 @@ def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
     return costs
 
 
-def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Candidate:
+def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
     """The cheapest design whose probabilities under the classifier meet the aims, (r,).
 
     A failure probability need not fall with every increase of a variable, so a line along the first free variable may
@@ -363,9 +340,7 @@ def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Cand
     return min(fine, key=excess)
 
 
-def _on_line(
-    task: DesignTask, model: Callable[..., Array], held: Mapping[str, float], aims: Array, coarse: bool = False
-) -> Candidate:
+def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Array, coarse: bool = False) -> Candidate:
     """The cheapest design along the first free variable, the others held; the safest one if none meets the aims."""
     from scipy.optimize import brentq, minimize_scalar
 

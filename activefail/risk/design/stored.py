@@ -17,19 +17,12 @@ _IDENTITY = ("verified designs",)
 
 @dataclass(frozen=True, eq=False)
 class StoredDesign:
-    """A verified design.
+    """A verified design."""
 
-    Attributes:
-        requirement: what it meets.
-        bearing: the values of all variables that are certain, by name.
-        estimate: of the probability, from the stored simulations.
-        confidence: of the result, one-sided.
-    """
-
-    requirement: Requirement
-    bearing: dict[str, float]
-    estimate: ProbabilityEstimate
-    confidence: float
+    requirement: Requirement  # that it meets
+    bearing: dict[str, float]  # the values of all variables that are certain, by name
+    estimate: ProbabilityEstimate  # from the stored simulations
+    confidence: float  # of the result, one-sided
 
 
 def remember_design(store: Store, designed: Designed) -> None:

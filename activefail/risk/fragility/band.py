@@ -30,28 +30,17 @@ _STEPS = 400
 
 
 class VerifiedLevel(NamedTuple):
-    """A level with the probability from fresh simulations.
-
-    Attributes:
-        level: of the variable.
-        estimate: the probability, with an interval for this level alone.
-    """
+    """A level with the probability from fresh simulations, whose interval is for this level alone."""
 
     level: float
     estimate: ProbabilityEstimate
 
 
 class Interval(NamedTuple):
-    """What a verified band says about a capacity.
+    """What a verified band says about a capacity; None where it is unknown, for a reason."""
 
-    Attributes:
-        middle: where the corrected curve first exceeds the probability; None if unknown.
-        low, high: where the ends of the band do; None if unknown.
-        reason: why something is unknown; empty otherwise.
-    """
-
-    middle: float | None = None
-    low: float | None = None
+    middle: float | None = None  # where the corrected curve first exceeds the probability
+    low: float | None = None  # where the ends of the band do
     high: float | None = None
     reason: str = ""
 

@@ -1,311 +1,149 @@
 """The fragility of a bearing under a hazard, or against one variable under a question."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import Hazard, hazard_question
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
-from activefail.errors import InputError
-from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.reliability.integral import Boundaries
-from activefail.risk.fragility.band import (
-    LEAST,
-    VerifiedLevel,
-    stored,
-    verify,
-)
+from activefail.campaign.hazard import Bound, Hazard
+from activefail.campaign.inquiry import Inquiry
+from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.progress import Stage, silent
+from activefail.risk.fragility.band import VerifiedLevel, stored, verify
 from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.fragility.findings import Bound, BoundaryFragility, FragilityFindings
-from activefail.risk.fragility.levels import (
-    RESOLUTION,
-    Intensity,
-    check_asked,
-    curves_on,
-    intensity_ladder,
-    median_intensity,
-    question_at,
-    variable_ladder,
-)
+from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
+from activefail.risk.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
 from activefail.risk.fragility.rates import risk_of
 from activefail.simulators.bearing import limits_of, terms_of
-from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
-
-
-@dataclass(frozen=True)
-class Verification:
-    """How a curve is verified.
-
-    Attributes:
-        outcome: whose curve.
-        simulations: number of fresh simulations; 0 for none.
-        confidence: of the intervals.
-        estimate: estimates a question from so many fresh simulations.
-        stored: estimates an outcome under a question from stored simulations, if there are any: what earlier
-            verifications stored is then shown for every outcome, and nothing is simulated. None to simulate.
-    """
-
-    outcome: str
-    simulations: int
-    confidence: float
-    estimate: Callable[[Question, int], ProbabilityEstimate]
-    stored: Callable[[str, Question], ProbabilityEstimate | None] | None = None
-
-
-def checked_ladder(
-    hazard: Hazard | None,
-    question: Question,
-    space: DesignSpace,
-    intensity: Intensity,
-    against: str | None,
-    bounds: tuple[float, float] | None,
-    simulations: int,
-) -> Ladder | None:
-    """The levels of a variable; None with a hazard, whose intensity has levels of its own.
-
-    Args:
-        hazard: None for the question alone.
-        question: the hazard's, or another one.
-        space: of the campaign.
-        intensity: "pgv" or "a_p", with a hazard.
-        against: the variable, without a hazard.
-        bounds: of the variable's levels; those of the campaign if None.
-        simulations: fresh ones that verify the curve; 0 for none.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
-    """
-    check_asked(hazard, against, bounds, intensity)
-    if 0 < simulations < LEAST:
-        raise InputError(f"verify: must be at least {LEAST}, got {simulations}.")
-    if against is None:
-        return None
-    if isinstance(against, str) and against in question.fixed:
-        raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
-    return variable_ladder(question, space, against, bounds)
 
 
 def fragility(
     estimator: Estimator,
-    hazard: Hazard | None,
-    question: Question,
-    intensity: Intensity,
-    ladder: Ladder | None,
+    asked: Inquiry,
+    ladder: Ladder,
     outcome: str,
     simulations: int | None,
     confidence: float,
-    stage: Callable[[str], None] = lambda _: None,
+    stage: Stage = silent,
 ) -> FragilityFindings:
-    """The fragility under a hazard, against its intensity, or under a question, against a variable.
+    """The fragility against the intensity of a hazard's pulses, or against a variable of another question.
+
+    The other uncertain variables are integrated out.
 
     Args:
         estimator: simulates.
-        hazard: at one of its property bounds; None for the question alone.
-        question: the hazard's, or another one.
-        intensity: "pgv" or "a_p", with a hazard.
-        ladder: levels of the variable, without a hazard (see `checked_ladder`).
+        asked: what is asked.
+        ladder: levels of the intensity or the variable (see `levels.ladder_of`).
         outcome: whose curve is verified.
         simulations: fresh ones that verify it; 0 for none. None shows what earlier verifications stored, of every
             outcome, and simulates nothing.
         confidence: of the intervals.
         stage: called with each stage of the work.
     """
-    campaign = estimator.campaign
+    campaign, question, hazard = asked.campaign, asked.question, asked.hazard
 
-    def estimate(at_level: Question, fresh: int) -> ProbabilityEstimate:
-        return estimator.sample(outcome, fresh, at_level).estimate(confidence)
+    def at_level(level: float) -> Question:
+        if hazard is None:
+            return question.at({ladder.name: level})
+        return question_at(asked, hazard, ladder.name, level)
 
-    def read(outcome: str, at_level: Question) -> ProbabilityEstimate | None:
-        return estimator.stored(outcome, at_level, confidence)
+    def verified(of: str, curve: Curve) -> tuple[VerifiedLevel, ...]:
+        if simulations is None:
+            return stored(curve, at_level, lambda at: estimator.stored(of, at, confidence))
+        if of != outcome or not simulations:
+            return ()
+        stage(f"verifying the curve of {of} with {simulations} fresh simulations")
+        return verify(curve, simulations, at_level, lambda at, n: estimator.sample(of, n, at).estimate(confidence))
 
-    verification = Verification(outcome, simulations or 0, confidence, estimate, read if simulations is None else None)
-    boundaries = estimator.boundaries
-    if hazard is not None:
-        values = {name: value for name, value in question.fixed.items() if name in campaign.space.names}
-        return bearing_fragility(campaign, boundaries, hazard, values, intensity, verification, stage)
-    assert ladder is not None
-    return general_fragility(campaign, boundaries, question, ladder, verification, stage)
-
-
-def bearing_fragility(
-    campaign: Campaign,
-    boundaries: Boundaries,
-    hazard: Hazard,
-    fixed: Mapping[str, float],
-    intensity: Intensity,
-    verification: Verification,
-    stage: Callable[[str], None] = lambda _: None,
-) -> FragilityFindings:
-    """The fragility of a bearing under a hazard, against the intensity of its pulses.
-
-    Args:
-        campaign: the campaign.
-        boundaries: of the campaign's designs.
-        hazard: at one of its property bounds.
-        fixed: values of the bearing's variables.
-        intensity: "pgv" or "a_p".
-        verification: how the curve is verified.
-        stage: called with each stage of the work.
-
-    Raises:
-        InputError: if the campaign has no pulse, or `fixed` gives one.
-    """
-    settings, space = campaign.settings, campaign.space
-
-    def question_of(hazard: Hazard, level: float) -> Question:
-        return question_at(hazard, settings, space, fixed, intensity, level)
-
-    whole = hazard_question(hazard, settings, space, fixed)
-    ladder, median = intensity_ladder(intensity, hazard), median_intensity(hazard, intensity)
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
-    curves = curves_on(boundaries, lambda level: question_of(hazard, level), ladder, space)
-    is_uncertain = hazard.added_dispersion > 0.0 or hazard.bias != 0.0
+    curves = curves_on(estimator.boundaries, at_level, ladder, campaign.space)
+    outcomes = tuple(campaign.simulator.outcomes)
+    fixed = question.fixed if hazard is None else asked.fixed
+    findings = FragilityFindings(
+        title=question.title,
+        ladder=curves.curves[0].ladder,
+        boundaries=tuple(
+            BoundaryFragility(of, curve, verified=verified(of, curve))
+            for of, curve in zip(outcomes[1:], curves.curves, strict=True)
+        ),
+        outside=curves.outside,
+        from_outside=curves.from_outside,
+        fixed=fixed,
+        confidence=confidence,
+        notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
+        outcomes=outcomes,
+        terms=terms_of(campaign.simulator, fixed),
+    )
+    return findings if hazard is None else _under_hazard(findings, estimator, asked, hazard, ladder, stage)
+
+
+def _under_hazard(
+    findings: FragilityFindings, estimator: Estimator, asked: Inquiry, hazard: Hazard, ladder: Ladder, stage: Stage
+) -> FragilityFindings:
+    """The findings with what a hazard adds: its median, property bounds, pulses and risk."""
+    space, boundaries, median = asked.campaign.space, estimator.boundaries, median_intensity(hazard, ladder.name)
+
+    def variant(of: Hazard) -> Callable[[float], Question]:
+        return lambda level: question_at(asked, of, ladder.name, level)
+
     alone = None
-    if is_uncertain:
+    if hazard.added_dispersion > 0.0 or hazard.bias != 0.0:
         stage("evaluating the curves of the pulses alone")
-        alone = curves_on(boundaries, lambda level: question_of(hazard.without_uncertainty(), level), ladder, space)
-    has_bounds = hazard.settings.properties is not None
-    names: tuple[Bound, ...] = ("lower", "nominal", "upper") if has_bounds else ("nominal",)
+        alone = curves_on(boundaries, variant(hazard.without_uncertainty()), ladder, space)
+    bounds: tuple[Bound, ...] = ("lower", "nominal", "upper") if hazard.settings.properties else ("nominal",)
     at_bounds = {
-        name: question_of(hazard.at_bound(name), median).integral(boundaries, space, RESOLUTION).probability
-        for name in names
+        bound: variant(hazard.at_bound(bound))(median).integral(boundaries, space, RESOLUTION).probability
+        for bound in bounds
     }
     stage("finding the pulses that contribute")
-    parts = deaggregated(
-        boundaries,
-        lambda of: hazard_question(of, settings, space, fixed),
-        hazard,
-        whole.integral(boundaries, space).probability,
-    )
+    whole = asked.question.integral(boundaries, space).probability
+    parts = deaggregated(boundaries, asked.under, hazard, whole)
     rates, why = hazard.settings.curve, ""
     if rates is None:
         why = "the hazard has no curve of annual rates"
-    elif intensity != "pgv":
-        why, rates = "the hazard's annual rates are those of PGV, not of A_p", None
-    of_boundaries = []
-    for column, outcome in enumerate(campaign.simulator.outcomes[1:]):
-        curve = curves.curves[column]
-        of_boundaries.append(
-            BoundaryFragility(
-                outcome,
-                curve,
-                alone.curves[column] if alone else None,
-                _verified(outcome, curve, lambda level: question_of(hazard, level), verification, stage),
-                {name: float(value[column]) for name, value in at_bounds.items()},
-                None if rates is None else risk_of(curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
-                parts[column],
+    elif ladder.name != PGV:
+        rates, why = None, "the hazard's annual rates are those of PGV, not of A_p"
+    outside = asked.question.outside(space)
+    return replace(
+        findings,
+        boundaries=tuple(
+            replace(
+                one,
+                alone=alone.curves[column] if alone else None,
+                at_median={bound: float(value[column]) for bound, value in at_bounds.items()},
+                risk=None
+                if rates is None
+                else risk_of(one.curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
+                deaggregation=parts[column],
             )
-        )
-    outside = whole.outside(space)
-    notes = [
-        *filter(None, [outside.advice]),
-        *whole.assumptions,
-        *_notes_of_bearing(campaign, hazard, fixed, intensity),
-    ]
-    return FragilityFindings(
-        whole.title,
-        curves.curves[0].ladder,
-        tuple(of_boundaries),
-        curves.outside,
-        curves.from_outside,
-        fixed,
-        verification.confidence,
-        median,
-        outside.share,
-        why,
-        tuple(notes),
-        tuple(campaign.simulator.outcomes),
-        terms_of(campaign.simulator, fixed),
+            for column, one in enumerate(findings.boundaries)
+        ),
+        median=median,
+        outside_hazard=outside.share,
+        why_no_risk=why,
+        notes=(*filter(None, [outside.advice]), *findings.notes),
     )
 
 
-def general_fragility(
-    campaign: Campaign,
-    boundaries: Boundaries,
-    question: Question,
-    ladder: Ladder,
-    verification: Verification,
-    stage: Callable[[str], None] = lambda _: None,
-) -> FragilityFindings:
-    """The fragility of any simulator against one variable, the question's other uncertain variables integrated out.
-
-    Args:
-        campaign, boundaries, verification, stage: as for `bearing_fragility`.
-        question: the distribution of the variables.
-        ladder: of the variable (see `variable_ladder`).
-    """
-    against = ladder.name
-
-    def question_at_level(level: float) -> Question:
-        return question.at({against: level})
-
-    stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
-    curves = curves_on(boundaries, question_at_level, ladder, campaign.space)
-    of_boundaries = tuple(
-        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, question_at_level, verification, stage))
-        for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
-    )
-    others = [name for name in question.space.names if name != against]
-    notes = [
-        *question.assumptions,
-        f"The curve is integrated over {', '.join(others)}.",
-        *limits_of(campaign.simulator),
-    ]
-    pairs = getattr(question.space, "correlation", ())
-    tied = sorted({name for pair in pairs if against in pair[:2] for name in pair[:2]} - {against})
-    if tied:
-        notes.append(
-            f"{', '.join(tied)} {'is' if len(tied) == 1 else 'are'} correlated with {against}. The curve ignores this "
-            f"correlation: the distribution is the same at each {against}."
-        )
-    why = "a risk requires a hazard with annual rates"
-    return FragilityFindings(
-        question.title,
-        curves.curves[0].ladder,
-        of_boundaries,
-        curves.outside,
-        curves.from_outside,
-        question.fixed,
-        verification.confidence,
-        None,
-        None,
-        why,
-        tuple(notes),
-        tuple(campaign.simulator.outcomes),
-        terms_of(campaign.simulator, question.fixed),
-    )
-
-
-def _verified(
-    outcome: str,
-    curve: Curve,
-    question_at_level: Callable[[float], Question],
-    verification: Verification,
-    stage: Callable[[str], None],
-) -> tuple[VerifiedLevel, ...]:
-    if (read := verification.stored) is not None:
-        return stored(curve, question_at_level, lambda question: read(outcome, question))
-    if outcome != verification.outcome or not verification.simulations:
-        return ()
-    stage(f"verifying the curve of {outcome} with {verification.simulations} fresh simulations")
-    return verify(curve, verification.simulations, question_at_level, verification.estimate)
-
-
-def _notes_of_bearing(
-    campaign: Campaign, hazard: Hazard, fixed: Mapping[str, float], intensity: Intensity
-) -> list[str]:
-    sentences = []
-    others = [name for name in campaign.space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
-    if others:
-        sentences.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
-    if intensity == "a_p":
-        sentences.append(
-            "At each amplitude the pulse periods have the same distribution, because the pulses are scaled."
-        )
+def _notes(asked: Inquiry, name: str) -> list[str]:
+    """What the curves are integrated over, as sentences."""
+    space, hazard = asked.question.space, asked.hazard
+    if hazard is None:
+        notes = [f"The curve is integrated over {', '.join(one for one in space.names if one != name)}."]
+        pairs = getattr(space, "correlation", ())
+        if tied := sorted({one for pair in pairs if name in pair[:2] for one in pair[:2]} - {name}):
+            notes.append(
+                f"{', '.join(tied)} {'is' if len(tied) == 1 else 'are'} correlated with {name}. The curve ignores this "
+                f"correlation: the distribution is the same at each {name}."
+            )
+        return notes
+    notes = []
+    if others := [one for one in asked.campaign.space.names if one not in {PERIOD, AMPLITUDE, *asked.fixed}]:
+        notes.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
+    if name == AMPLITUDE:
+        notes.append("At each amplitude the pulse periods have the same distribution, because the pulses are scaled.")
     elif hazard.rows is not None:
-        sentences.append("At each PGV the periods have the distribution of all the hazard's pulses.")
-    return [*sentences, *limits_of(campaign.simulator)]
+        notes.append("At each PGV the periods have the distribution of all the hazard's pulses.")
+    return notes

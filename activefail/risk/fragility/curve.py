@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.shares import percent
 from activefail.space import Array
@@ -12,19 +11,12 @@ from activefail.space import Array
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Fixed levels of a variable.
+    """Fixed levels of a variable."""
 
-    Attributes:
-        name: of the variable.
-        unit: its unit.
-        levels: (n,) increasing.
-        is_log: whether the steps are equal in the logarithm, in which curves are then interpolated.
-    """
-
-    name: str
-    unit: str
-    levels: Array
-    is_log: bool
+    name: str  # of the variable
+    unit: str  # its unit
+    levels: Array  # (n,) increasing
+    is_log: bool  # whether the steps are equal in the logarithm, in which curves are then interpolated
 
     @classmethod
     def between(cls, name: str, unit: str, low: float, high: float, steps: int, is_log: bool) -> "Ladder":
@@ -42,24 +34,14 @@ class Ladder:
 
 
 class Capacity(NamedTuple):
-    """The level at which a curve first exceeds a probability.
-
-    Attributes:
-        level: None if there is none.
-        reason: why there is none; empty otherwise.
-    """
+    """The level at which a curve first exceeds a probability; if there is none, the reason."""
 
     level: float | None
     reason: str = ""
 
 
 class Fall(NamedTuple):
-    """The largest fall of a curve against its direction.
-
-    Attributes:
-        size: in probability.
-        start, end: levels between which the curve falls.
-    """
+    """The largest fall of a curve against its direction, in probability, and the levels between which it falls."""
 
     size: float
     start: float
@@ -83,16 +65,11 @@ class Curve:
     Most curves rise with the level, as with the intensity of an earthquake. Those that fall, as with a displacement
     capacity, are read from their upper end. Either way, a capacity is where the curve first exceeds a probability,
     seen from its safe end: a curve that falls back afterwards does not regain it.
-
-    Attributes:
-        ladder: its levels.
-        probability: (n,).
-        resolution: largest error of the integration over the other variables, estimated.
     """
 
-    ladder: Ladder
-    probability: Array
-    resolution: float
+    ladder: Ladder  # its levels
+    probability: Array  # (n,)
+    resolution: float  # largest error of the integration over the other variables, estimated
 
     @property
     def rises(self) -> bool:
@@ -132,7 +109,3 @@ class Curve:
             return None
         start = int(np.argmax(values[: end + 1]))
         return Fall(size, self.ladder.level(coordinates[start]), self.ladder.level(coordinates[end]))
-
-    def inside(self, low: float, high: float) -> NDArray[np.bool_]:
-        """Which levels lie between two levels, (n,)."""
-        return np.asarray((self.ladder.levels > low) & (self.ladder.levels < high))

@@ -62,10 +62,12 @@ class Deaggregation:
 
     def as_json(self) -> dict[str, Any]:
         """The deaggregation as JSON values."""
-
-        def named(percentiles: Percentiles | None) -> dict[str, float] | None:
-            return None if percentiles is None else {"p5": percentiles[0], "p50": percentiles[1], "p95": percentiles[2]}
-
+        percentiles = {
+            "T_p_of_failures_s": self.period_of_failures,
+            "PGV_of_failures_m_s": self.velocity_of_failures,
+            "T_p_of_pulses_s": self.period_of_pulses,
+            "PGV_of_pulses_m_s": self.velocity_of_pulses,
+        }
         return {
             "probability": self.probability,
             "interval": None,
@@ -74,10 +76,7 @@ class Deaggregation:
             "PGV_edges_m_s": self.velocity.tolist(),
             "share_of_failures": None if self.of_failures is None else self.of_failures.tolist(),
             "share_of_pulses": self.of_pulses.tolist(),
-            "T_p_of_failures_s": named(self.period_of_failures),
-            "PGV_of_failures_m_s": named(self.velocity_of_failures),
-            "T_p_of_pulses_s": named(self.period_of_pulses),
-            "PGV_of_pulses_m_s": named(self.velocity_of_pulses),
+            **{name: of and dict(zip(("p5", "p50", "p95"), of, strict=True)) for name, of in percentiles.items()},
         }
 
 

@@ -3,18 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from activefail.bearing.terms import Terms
 from activefail.findings.lines import titled
-from activefail.risk.fragility.band import (
-    NOT_VERIFIED,
-    Interval,
-    VerifiedLevel,
-    capacity_interval,
-)
+from activefail.risk.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
 from activefail.risk.fragility.curve import Capacity, Curve, Ladder
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.lognormal import Lognormal, fit_lognormal, why_not_fitted
@@ -22,8 +17,6 @@ from activefail.risk.fragility.rates import YEARS, Risk
 from activefail.shares import percent
 from activefail.space import Array
 from activefail.visible import or_worse
-
-Bound = Literal["lower", "nominal", "upper"]
 
 CAPACITIES = (0.025, 0.10, 0.50)
 """Probabilities of the reported capacities."""
@@ -75,12 +68,12 @@ class FragilityFindings:
         from_outside: (n, boundaries) share of each probability that comes from there.
         fixed: values of variables.
         confidence: of the intervals.
-        median: the hazard's median of the intensity; None without a hazard.
-        outside_hazard: share of the whole hazard outside the design space; None without a hazard.
-        why_no_risk: empty if there is a risk.
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
         terms: the bearing in the designer's terms; None without a bearing, or if a value is uncertain.
+        median: the hazard's median of the intensity; None without a hazard.
+        outside_hazard: share of the whole hazard outside the design space; None without a hazard.
+        why_no_risk: empty if there is a risk.
     """
 
     title: str
@@ -90,12 +83,12 @@ class FragilityFindings:
     from_outside: Array
     fixed: Mapping[str, float]
     confidence: float
-    median: float | None
-    outside_hazard: float | None
-    why_no_risk: str
     notes: tuple[str, ...]
     outcomes: tuple[str, ...]
     terms: Terms | None = None
+    median: float | None = None
+    outside_hazard: float | None = None
+    why_no_risk: str = "a risk requires a hazard with annual rates"
 
     exit_code = 0
 
@@ -173,54 +166,46 @@ class FragilityFindings:
         }
 
     def _of_boundary(self, one: BoundaryFragility) -> dict[str, Any]:
-        fall, fit, risk, why = one.curve.fall, one.lognormal, one.risk, self.why_no_risk
+        fall, fit, risk, alone, parts = one.curve.fall, one.lognormal, one.risk, one.alone, one.deaggregation
+        of_curve = "only the verified levels have intervals" if one.verified else NOT_VERIFIED
         return {
-            "curve": {
-                "probability": one.curve.probability.tolist(),
-                "interval": None,
-                "interval_reason": "only the verified levels have intervals" if one.verified else NOT_VERIFIED,
-            },
-            "curve_of_pulses_alone": None
-            if one.alone is None
-            else {
-                "levels": one.alone.ladder.levels.tolist(),
-                "probability": one.alone.probability.tolist(),
-                "interval": None,
-                "interval_reason": WITHOUT_INTERVAL,
-            },
+            "curve": _without_interval(of_curve, probability=one.curve.probability.tolist()),
+            "curve_of_pulses_alone": alone
+            and _without_interval(levels=alone.ladder.levels.tolist(), probability=alone.probability.tolist()),
             "resolution": one.curve.resolution,
             "rises": one.curve.rises,
-            "falls": None if fall is None else {"by": fall.size, "from": fall.start, "to": fall.end},
+            "falls": fall and {"by": fall.size, "from": fall.start, "to": fall.end},
             "capacities": [self._of_capacity(one, p) for p in CAPACITIES],
-            "lognormal": None
-            if fit is None
-            else {
-                "median": fit.median,
-                "dispersion": fit.dispersion,
-                "largest_misfit": fit.misfit,
-                "largest_misfit_at": fit.misfit_at,
-                "interval": None,
-                "interval_reason": "it describes the curve, which is the result",
-            },
+            "lognormal": fit
+            and _without_interval(
+                "it describes the curve, which is the result",
+                median=fit.median,
+                dispersion=fit.dispersion,
+                largest_misfit=fit.misfit,
+                largest_misfit_at=fit.misfit_at,
+            ),
             "lognormal_reason": why_not_fitted(one.curve) or None,
-            "verified": [_of_level(level, one.curve) for level in one.verified],
-            "at_hazard_median": None
-            if one.at_median is None
-            else {"probability": dict(one.at_median), "interval": None, "interval_reason": WITHOUT_INTERVAL},
+            "verified": [
+                {
+                    "level": level.level,
+                    **level.estimate.numbers,
+                    "confidence": level.estimate.confidence,
+                    "classifier_probability": float(one.curve.at(level.level)),
+                }
+                for level in one.verified
+            ],
+            "at_hazard_median": one.at_median and _without_interval(probability=dict(one.at_median)),
             "margin_ratio": self._of_margin_ratio(one),
-            "risk": None
-            if risk is None
-            else {
-                "annual_rate": risk.annual_rate,
-                "years": YEARS,
-                "probability": risk.in_50_years,
-                "share_outside_hazard_curve": risk.outside,
-                "share_above_fragility_curve": risk.beyond,
-                "interval": None,
-                "interval_reason": WITHOUT_INTERVAL,
-            },
-            "risk_reason": why or None,
-            "deaggregation": None if one.deaggregation is None else one.deaggregation.as_json(),
+            "risk": risk
+            and _without_interval(
+                annual_rate=risk.annual_rate,
+                years=YEARS,
+                probability=risk.in_50_years,
+                share_outside_hazard_curve=risk.outside,
+                share_above_fragility_curve=risk.beyond,
+            ),
+            "risk_reason": self.why_no_risk or None,
+            "deaggregation": parts and parts.as_json(),
         }
 
     def _of_capacity(self, one: BoundaryFragility, p: float) -> dict[str, Any]:
@@ -254,20 +239,8 @@ class FragilityFindings:
         return None if level is None or self.median is None else level / self.median
 
 
-def _of_level(verified: VerifiedLevel, curve: Curve) -> dict[str, Any]:
-    estimate = verified.estimate
-    return {
-        "level": verified.level,
-        "probability": estimate.probability,
-        "low": estimate.low,
-        "high": estimate.high,
-        "confidence": estimate.confidence,
-        "simulations": estimate.simulations,
-        "numerical_failures": estimate.unanswered,
-        "contradictions": estimate.wrong,
-        "contradictions_where_sure": estimate.surprising,
-        "classifier_probability": float(curve.at(verified.level)),
-    }
+def _without_interval(reason: str = WITHOUT_INTERVAL, **numbers: Any) -> dict[str, Any]:
+    return {**numbers, "interval": None, "interval_reason": reason}
 
 
 def heading(findings: FragilityFindings) -> str:

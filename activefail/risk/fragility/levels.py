@@ -1,14 +1,15 @@
-"""What is asked at each level of a curve, and the classifier's answer there."""
+"""The levels of a curve, what is asked at each, and the classifier's answer there."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from activefail.campaign.hazard import Hazard, hazard_question
+from activefail.bearing.pulse import amplitude_of
+from activefail.campaign.hazard import Hazard
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
-from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
 from activefail.reliability.integral import Boundaries, Integral
 from activefail.risk.fragility.curve import Curve, Ladder
@@ -40,26 +41,31 @@ _STEEP, _HALVINGS = 0.05, 2
 _BOUNDS = "bounds (--range)"
 
 
-def _shown(value: object) -> str:
-    return repr(visible(value)) if isinstance(value, str) else visible(repr(value))
+def ladder_of(
+    asked: Inquiry, intensity: Intensity = "pgv", against: str | None = None, bounds: tuple[float, float] | None = None
+) -> Ladder:
+    """The levels of a curve: of the intensity of a hazard's pulses, or of an uncertain variable of another question.
 
-
-def check_asked(hazard: object, against: object, bounds: object, intensity: str) -> None:
-    """Check which arguments of a fragility are given.
+    Args:
+        asked: what is asked.
+        intensity: with a hazard.
+        against: the variable, without one.
+        bounds: of the variable's levels; those of the campaign if None.
 
     Raises:
-        InputError: naming what is missing, or what cannot be combined.
+        InputError: naming the argument, the rule and the value.
     """
-    if hazard is None and against is None:
+    if asked.hazard is None and against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
-    if hazard is not None:
-        for name, value in (("against", against), (_BOUNDS, bounds)):
-            if value is not None:
-                raise InputError(f"{name}: cannot be combined with hazard.")
-    elif intensity != "pgv":
-        raise InputError("intensity: requires hazard; name the variable with against.")
-    if not isinstance(intensity, str) or intensity not in UNITS:
-        raise InputError(f"intensity: must be pgv or a_p, got {_shown(intensity)}.")
+    if asked.hazard is None:
+        if intensity != "pgv":
+            raise InputError("intensity: requires hazard; name the variable with against.")
+        assert against is not None
+        return variable_ladder(asked.question, asked.campaign.space, against, bounds)
+    for name, value in (("against", against), (_BOUNDS, bounds)):
+        if value is not None:
+            raise InputError(f"{name}: cannot be combined with hazard.")
+    return intensity_ladder(intensity, asked.hazard)
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
@@ -84,10 +90,10 @@ def variable_ladder(
         InputError: if the variable has a value or is unknown, no other is uncertain, or the bounds are wrong.
     """
     if name not in question.space.names:
+        if isinstance(name, str) and name in question.fixed:
+            raise InputError(f"against: {name} has the value {question.fixed[name]:g}; leave it out of --fixed.")
         known = ", ".join(question.space.names)
-        if isinstance(name, str) and (name in question.fixed or name in space.fixed):
-            raise InputError(f"against: {name} has a value; it must be one of the uncertain variables ({known}).")
-        raise InputError(f"against: must be one of the uncertain variables ({known}), got {_shown(name)}.")
+        raise InputError(f"against: must be one of the uncertain variables ({known}), got {visible(repr(name))}.")
     if question.space.dimension < 2:
         raise InputError(f"against: no variable besides {name} is uncertain, so there is nothing to integrate over.")
     parameters = {one.name: one for one in space.parameters}
@@ -108,32 +114,23 @@ def variable_ladder(
     return Ladder.between(name, known_one.unit if known_one else "", low, high, _STEPS, is_log)
 
 
-def question_at(
-    hazard: Hazard,
-    settings: CampaignSettings,
-    space: DesignSpace,
-    fixed: Mapping[str, float],
-    intensity: Intensity,
-    level: float,
-) -> Question:
+def question_at(asked: Inquiry, hazard: Hazard, name: str, level: float) -> Question:
     """The question of a hazard, given the intensity of its pulses.
 
     Given the peak ground velocity, the period has its conditional distribution. Given the amplitude, it keeps its
     distribution: the same pulses are scaled.
 
     Args:
-        hazard: the hazard.
-        settings, space: of the campaign.
-        fixed: values of the bearing's variables.
-        intensity: "pgv" [m/s] or "a_p" [g].
+        asked: campaign and values.
+        hazard: a variant of what is asked.
+        name: PGV [m/s] or A_p [g].
         level: of the intensity.
     """
-    if intensity == "pgv":
-        return hazard_question(hazard, settings, space, fixed, level)
-    if (pgv := hazard.settings.pgv) is not None:
+    if name == AMPLITUDE and (pgv := hazard.settings.pgv) is not None:
         alone = hazard.settings.model_copy(update={"pgv": pgv.model_copy(update={"correlation_with_period": 0.0})})
         hazard = replace(hazard, settings=alone)
-    return _with_amplitude(hazard_question(hazard, settings, space, fixed, level))
+    question = asked.under(hazard, level)
+    return question if name == PGV else _with_amplitude(question)
 
 
 def _with_amplitude(question: Question) -> Question:
@@ -153,35 +150,25 @@ def _with_amplitude(question: Question) -> Question:
     return replace(question, space=uncertain, fixed={renamed(name): value for name, value in question.fixed.items()})
 
 
-def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
-    """Median of the hazard's peak ground velocities [m/s] or amplitudes [g]."""
-    if intensity == "pgv":
+def median_intensity(hazard: Hazard, name: str) -> float:
+    """Median of the hazard's peak ground velocities PGV [m/s] or amplitudes A_p [g]."""
+    if name == PGV:
         return hazard.median_velocity
-    from activefail.bearing.pulse import amplitude_of
-
     rows = hazard.rows
     if rows is None:
         return float(amplitude_of(np.array(hazard.median_velocity), np.array(hazard.median_period)))
-    if AMPLITUDE in rows.names:
-        values = rows.X[:, rows.names.index(AMPLITUDE)]
-    else:
-        values = amplitude_of(rows.X[:, rows.names.index(PGV)], rows.X[:, rows.names.index(PERIOD)])
+    known = AMPLITUDE in rows.names
+    values = rows.column(AMPLITUDE) if known else amplitude_of(rows.column(PGV), rows.column(PERIOD))
     return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """The curves of all boundaries on one ladder.
+    """The curves of all boundaries on one ladder."""
 
-    Attributes:
-        curves: one for each boundary.
-        outside: (n,) share of the question outside the design space at each level.
-        from_outside: (n, boundaries) share of each probability that comes from there.
-    """
-
-    curves: tuple[Curve, ...]
-    outside: Array
-    from_outside: Array
+    curves: tuple[Curve, ...]  # one for each boundary
+    outside: Array  # (n,) share of the question outside the design space at each level
+    from_outside: Array  # (n, boundaries) share of each probability that comes from there
 
 
 def curves_on(

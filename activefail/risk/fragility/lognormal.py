@@ -16,20 +16,12 @@ _STARTS = (0.1, 0.3, 0.8)
 
 
 class Lognormal(NamedTuple):
-    """A lognormal curve beside another curve.
-
-    Attributes:
-        median: level at which it is 50 %.
-        dispersion: β, the standard deviation of the level's logarithm.
-        misfit: largest difference to the curve at a level of the ladder.
-        misfit_at: this level.
-        rises: whether it rises with the level.
-    """
+    """A lognormal curve beside another curve."""
 
     median: float
-    dispersion: float
-    misfit: float
-    misfit_at: float
+    dispersion: float  # β, the standard deviation of the level's logarithm
+    misfit: float  # largest difference to the curve at a level of the ladder
+    misfit_at: float  # this level
     rises: bool
 
     def at(self, levels: Array | float) -> Array:

@@ -16,19 +16,12 @@ _STEPS = 2000
 
 
 class Risk(NamedTuple):
-    """The rate of failure.
+    """The rate of failure."""
 
-    Attributes:
-        annual_rate: λ [1/year].
-        in_50_years: probability of at least one failure, 1 − exp(−50 λ).
-        outside: share of λ from intensities outside the hazard's curve, where its ends are extrapolated.
-        beyond: share of λ from intensities above the fragility curve, where its last value holds.
-    """
-
-    annual_rate: float
-    in_50_years: float
-    outside: float
-    beyond: float
+    annual_rate: float  # λ [1/year]
+    in_50_years: float  # probability of at least one failure, 1 − exp(−50 λ)
+    outside: float  # share of λ from intensities outside the hazard's curve, where its ends are extrapolated
+    beyond: float  # share of λ from intensities above the fragility curve, where its last value holds
 
 
 def exceedance(velocities: Array, rates: Array, levels: Array) -> Array:

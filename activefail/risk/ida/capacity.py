@@ -1,7 +1,8 @@
 """The lowest intensity of each record at which an outcome is reached: a ladder of levels, then bisection."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,8 @@ LEVELS, BISECTIONS = 10, 5
 LOWEST = 1.0 / 16.0
 """The lowest level of the ladder over the highest."""
 
-_HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
-"""Highest level of the ladder by default, by the kind of the intensity."""
-
-_HIGHEST_FACTOR = 12.0
-"""The same for a normalised set that is scaled together, over its own intensity."""
+_HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0, "p695": 12.0}
+"""Highest level of the ladder by default, by the kind of the intensity; for "p695" over the set's own intensity."""
 
 Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
@@ -41,49 +39,64 @@ Simulate = Callable[[Runs], Answers]
 
 @dataclass(frozen=True, eq=False)
 class Capacities:
-    """What the levels of each of n records showed.
+    """What the levels of each of n records showed."""
 
-    Attributes:
-        below: (n,) highest level below the capacity that was survived; 0 if the lowest one was not.
-        capacity: (n,) lowest level with the outcome; infinite if none has it.
-        resurrections: (n,) levels above the capacity that were survived.
-        numerical_failures: (n,) levels without an outcome.
-        lifted: (n,) levels at which a plate lifted off and the bearing failed before any rim touch.
-        levels, outcomes: for each record its levels, rising, and their outcomes.
-    """
-
-    below: Array
-    capacity: Array
-    resurrections: NDArray[np.int64]
-    numerical_failures: NDArray[np.int64]
-    lifted: NDArray[np.int64]
-    levels: tuple[Array, ...]
+    severity: int  # of the outcome that is sought, or a worse one
+    levels: tuple[Array, ...]  # for each record its levels, rising, and their outcomes
     outcomes: tuple[NDArray[np.int8], ...]
+    lifted: NDArray[np.int64]  # (n,) levels at which a plate lifted off and the bearing failed before any rim touch
 
-    def if_lost_fail(self, severity: int) -> tuple[Array, Array]:
-        """The ends of the capacities, (n,) each, if the levels without an outcome have this one or a worse one."""
-        worst = [np.where(one == NUMERICAL_FAILURE, severity, one).astype(np.int8) for one in self.outcomes]
-        brackets = [_bracket(*one, severity) for one in zip(self.levels, worst, strict=True)]
-        below, capacity = np.array(brackets).T
-        return below, capacity
+    @cached_property
+    def _brackets(self) -> Array:
+        pairs = zip(self.levels, self.outcomes, strict=True)
+        return np.array([_bracket(levels, outcomes, self.severity) for levels, outcomes in pairs]).reshape(-1, 2)
+
+    @property
+    def below(self) -> Array:
+        """(n,) highest level below the capacity that was survived; 0 if the lowest one was not."""
+        return self._brackets[:, 0]
+
+    @property
+    def capacity(self) -> Array:
+        """(n,) lowest level with the outcome; infinite if none has it."""
+        return self._brackets[:, 1]
+
+    @property
+    def resurrections(self) -> NDArray[np.int64]:
+        """(n,) levels above the capacity that were survived."""
+        parts = zip(self.levels, self.outcomes, self.capacity, strict=True)
+        return np.array([(_survived(one, self.severity) & (at > lowest)).sum() for at, one, lowest in parts])
+
+    @property
+    def numerical_failures(self) -> NDArray[np.int64]:
+        """(n,) levels without an outcome."""
+        return np.array([(one == NUMERICAL_FAILURE).sum() for one in self.outcomes])
+
+    @property
+    def if_lost_fail(self) -> "Capacities":
+        """The same if the levels without an outcome had the outcome that is sought."""
+        worst = (np.where(one == NUMERICAL_FAILURE, self.severity, one).astype(np.int8) for one in self.outcomes)
+        return replace(self, outcomes=tuple(worst))
 
     @property
     def runs(self) -> int:
         """Number of simulations."""
         return sum(map(len, self.levels))
 
+    def on_ladder(self, rungs: Array) -> NDArray[np.int8]:
+        """The outcomes at the k levels of the ladder, (n, k), without those of the bisections."""
+        pairs = zip(self.levels, self.outcomes, strict=True)
+        return np.array([outcomes[np.isin(levels, rungs)] for levels, outcomes in pairs], dtype=np.int8)
+
 
 def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     """The rising levels of the ladder, with equal ratios between them.
 
     Raises:
-        InputError: if the highest level is not positive, or too near to 0 or infinity for the others.
+        InputError: if the highest level is too near to 0 or infinity for the others.
     """
-    top = highest
-    if top is None:
-        top = _HIGHEST_FACTOR * intensity.of_set if intensity.kind == "p695" else _HIGHEST[intensity.kind]
-    if not (np.isfinite(top) and top > 0.0):
-        raise InputError(f"--to: must be positive and finite, got {top:g}.")
+    own = intensity.of_set if intensity.kind == "p695" else 1.0
+    top = own * _HIGHEST[intensity.kind] if highest is None else highest
     if not 1.0 / LARGEST <= top <= LARGEST:
         raise InputError(f"--to: must be between {1.0 / LARGEST:g} and {LARGEST:g}, got {top:g}.")
     return np.geomspace(LOWEST * top, top, LEVELS)
@@ -123,27 +136,16 @@ def capacities(simulate: Simulate, records: int, rungs: Array, bisections: int, 
             place = int(np.searchsorted(levels[k], middle))
             levels[k] = np.insert(levels[k], place, middle)
             outcomes[k] = np.insert(outcomes[k], place, outcome_there)
-    brackets = [_bracket(*one, severity) for one in zip(levels, outcomes, strict=True)]
-    below, capacity = np.array(brackets).T
-    resurrections, failures = [], []
-    for own_levels, outcome, lowest in zip(levels, outcomes, capacity.tolist(), strict=True):
-        answered = outcome != NUMERICAL_FAILURE
-        resurrections.append(int((answered & (outcome < severity) & (own_levels > lowest)).sum()))
-        failures.append(int((~answered).sum()))
-    return Capacities(
-        below, capacity, np.array(resurrections), np.array(failures), lifted, tuple(levels), tuple(outcomes)
-    )
+    return Capacities(severity, tuple(levels), tuple(outcomes), lifted)
 
 
-def on_ladder(simulated: Capacities, rungs: Array) -> NDArray[np.int8]:
-    """The outcomes at the levels of the ladder, (n, k), without those of the bisections."""
-    pairs = zip(simulated.levels, simulated.outcomes, strict=True)
-    return np.array([outcomes[np.isin(levels, rungs)] for levels, outcomes in pairs], dtype=np.int8)
+def _survived(outcomes: NDArray[np.int8], severity: int) -> NDArray[np.bool_]:
+    return np.asarray((outcomes != NUMERICAL_FAILURE) & (outcomes < severity))
 
 
 def _bracket(levels: Array, outcomes: NDArray[np.int8], severity: int) -> tuple[float, float]:
     """The highest survived level below the lowest failed one, and that one."""
     failed = levels[outcomes >= severity]
     above = float(failed[0]) if len(failed) else np.inf
-    survived = levels[(outcomes != NUMERICAL_FAILURE) & (outcomes < severity) & (levels < above)]
+    survived = levels[_survived(outcomes, severity) & (levels < above)]
     return float(survived[-1]) if len(survived) else 0.0, above

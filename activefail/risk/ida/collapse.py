@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, ndtri, stdtrit
+from scipy.special import log_ndtr, stdtrit
 
 from activefail.space import Array
 
@@ -30,10 +30,6 @@ class Lognormal:
 
     median: float
     dispersion: float
-
-    def quantile(self, probability: float) -> float:
-        """The intensity at which the curve has a probability."""
-        return self.median * math.exp(self.dispersion * float(ndtri(probability)))
 
 
 def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
@@ -69,15 +65,10 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
 
 @dataclass(frozen=True)
 class Fragility:
-    """A fitted curve with 95 % intervals.
+    """A fitted curve with 95 % intervals."""
 
-    Attributes:
-        fit: the curve of all records.
-        median, dispersion: their intervals, low and high; empty if they cannot be had.
-    """
-
-    fit: Lognormal
-    median: tuple[float, float] | tuple[()]
+    fit: Lognormal  # the curve of all records
+    median: tuple[float, float] | tuple[()]  # their intervals, low and high; empty if they cannot be had
     dispersion: tuple[float, float] | tuple[()]
 
 

@@ -12,7 +12,7 @@ from scipy.signal import correlate
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration, ground_velocity
 from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities, on_ladder
+from activefail.risk.ida.capacity import Capacities
 from activefail.risk.ida.collapse import jackknife
 from activefail.risk.ida.predictions import Agreement
 from activefail.space import Array
@@ -26,19 +26,12 @@ _SAMPLES = 400
 
 @dataclass(frozen=True, eq=False)
 class EquivalentPulse:
-    """The pulse of the paper's eq. 1 that is nearest to a record in velocity, by least squares.
+    """The pulse of the paper's eq. 1 that is nearest to a record in velocity, by least squares."""
 
-    Attributes:
-        period: T_p [s].
-        amplitude: A_p [m/s2], with its sign.
-        explained: share of the velocity's energy ∫v² dt that it explains.
-        motion: the pulse as a record.
-    """
-
-    period: float
-    amplitude: float
-    explained: float
-    motion: Accelerogram
+    period: float  # T_p [s]
+    amplitude: float  # A_p [m/s2], with its sign
+    explained: float  # share of the velocity's energy ∫v² dt
+    motion: Accelerogram  # the pulse as a record
 
 
 def equivalent_pulse(record: Accelerogram) -> EquivalentPulse:
@@ -102,25 +95,23 @@ def compare_pulses(
     of_pulses: Capacities,
     of_records: Capacities,
     events: Sequence[str],
-    ladder: Array,
-    severity: int,
+    rungs: Array,
 ) -> PulseComparison:
-    """Compare the capacities and the outcomes at the ladder's levels.
+    """Compare the capacities of n records and of their pulses, and the outcomes at the ladder's levels.
 
     Args:
-        pulses: of the n records.
+        pulses: of the records.
         of_pulses, of_records: their capacities.
         events: (n,) of the records.
-        ladder: (k,) the levels that both were simulated at.
-        severity: of the outcome.
+        rungs: (k,) levels of the ladder.
     """
     # A bearing that fails at every level has a capacity between 0 and the lowest: not a number to compare.
     known = [np.isfinite(one.capacity) & (one.below > 0.0) for one in (of_pulses, of_records)]
     both = known[0] & known[1]
     ratio = np.log(of_pulses.capacity[both] / of_records.capacity[both])
     names = [event for event, kept in zip(events, both, strict=True) if kept]
-    record, pulse = (on_ladder(one, ladder).ravel() for one in (of_records, of_pulses))
-    answered = (record >= 0) & (pulse >= 0)
+    record, pulse = (one.on_ladder(rungs).ravel() for one in (of_records, of_pulses))
+    answered, severity = (record >= 0) & (pulse >= 0), of_records.severity
     half = jackknife(lambda rows: float(ratio[rows].mean()), names) if len(ratio) else None
     mean = float(ratio.mean()) if len(ratio) else math.nan
     return PulseComparison(

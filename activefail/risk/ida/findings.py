@@ -1,7 +1,7 @@
 """The findings of an incremental dynamic analysis in numbers and words."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -10,66 +10,63 @@ import numpy as np
 from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
-from activefail.bearing.design import Model, Tolerance
 from activefail.bearing.terms import Terms
+from activefail.findings.lines import titled
 from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.p695 import Margin, MarginOptions
+from activefail.risk.ida.p695 import Margin, MarginOptions, collapse_margin
 from activefail.risk.ida.predictions import Prediction
+from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
 from activefail.space import Array
 
 
 @dataclass(frozen=True, eq=False)
 class IdaFindings:
-    """What an incremental dynamic analysis found.
+    """What an incremental dynamic analysis found."""
 
-    Attributes:
-        values: of the bearing's variables, by name.
-        model, tolerance: of all simulations; None for a campaign's simulator.
-        records: the set.
-        intensity: of all levels.
-        outcomes: from least to most severe.
-        outcome: the outcome that is sought.
-        capacities: under the records.
-        fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
-        pulses: the comparison with equivalent pulses; None if it was not asked for.
-        predictions: what predicts the outcomes at the ladder's levels, with `pulses`.
-        margin: of FEMA P695; None if it was not asked for, or there is no fragility.
-        options: of the margin.
-        simulator: the campaign whose simulator made the simulations; empty for the bearing model.
-        fault: why the first numerical failure of a campaign's simulator happened; empty without one.
-    """
+    subject: BearingSubject | CampaignSubject  # the bearing, or a campaign with values of its variables
+    records: RecordSet  # the set
+    intensity: Intensity  # of all levels
+    outcome: str  # the outcome that is sought
+    capacities: Capacities  # under the records
+    options: MarginOptions | None = None  # of the margin of FEMA P695; None if it was not asked for
+    pulses: PulseComparison | None = None  # the comparison with equivalent pulses; None if it was not asked for
+    predictions: tuple[Prediction, ...] = ()  # what predicts the outcomes at the ladder's levels, with `pulses`
 
-    values: Mapping[str, float]
-    model: Model | None
-    tolerance: Tolerance | None
-    records: RecordSet
-    intensity: Intensity
-    outcomes: tuple[str, ...]
-    outcome: str
-    capacities: Capacities
-    fragility: Fragility | None
-    margin: Margin | None
-    options: MarginOptions | None
-    pulses: PulseComparison | None = None
-    predictions: tuple[Prediction, ...] = ()
-    simulator: str = ""
-    fault: str = ""
+    exit_code = 0
 
-    @property
+    @cached_property
     def terms(self) -> Terms | None:
         """The bearing in the designer's terms; None for a campaign's simulator."""
-        return None if self.model is None else Terms.of(self.values, self.model.slider_diameter)
+        one = self.subject
+        return Terms.of(one.values, one.model.slider_diameter) if isinstance(one, BearingSubject) else None
+
+    def _fitted(self, capacities: Capacities) -> Fragility | None:
+        return fitted(capacities.below, capacities.capacity, [record.event for record in self.records.records])
+
+    @cached_property
+    def fragility(self) -> Fragility | None:
+        """Of the outcome, or a worse one; None if fewer than two records have a capacity."""
+        return self._fitted(self.capacities)
 
     @cached_property
     def if_lost_fail(self) -> Fragility | None:
         """The fragility if the simulations without an outcome are failures; None if all have one."""
-        if not self.capacities.numerical_failures.any():
+        return self._fitted(self.capacities.if_lost_fail) if self.capacities.numerical_failures.any() else None
+
+    @property
+    def margin(self) -> Margin | None:
+        """Of FEMA P695; None if it was not asked for, or there is no fragility."""
+        if self.fragility is None or self.options is None:
             return None
-        ends = self.capacities.if_lost_fail(self.outcomes.index(self.outcome))
-        return fitted(*ends, [record.event for record in self.records.records])
+        return collapse_margin(self.fragility.fit.median, self.options)
+
+    @property
+    def is_of_worst(self) -> bool:
+        """Whether the outcome that is sought is the most severe one."""
+        return self.outcome == self.subject.outcomes[-1]
 
     @property
     def failed(self) -> int:
@@ -110,61 +107,53 @@ class IdaFindings:
         return tuple(end / self.options.mce for end in self.fragility.median)
 
     @property
-    def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts for a terminal."""
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.capacities.capacity), self.records
-        worse = "" if self.outcome == self.outcomes[-1] else ", or a worse outcome"
+        worse = "" if self.is_of_worst else ", or a worse outcome"
         vertical = "with vertical components, " if records.has_vertical else ""
-        lines = [
+        rows = [] if self.terms is None else self.terms.lines()
+        if isinstance(self.subject, CampaignSubject):
+            rows.append(("simulator", f"of {self.subject.name}"))
+        rows += [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
             (self.outcome, f"{self.failed} of {count} records reach it{worse}"),
         ]
-        if self.simulator:
-            lines.insert(0, ("simulator", f"of {self.simulator}"))
-        if (terms := self.terms) is not None:
-            lines[:0] = terms.lines()
         if self.fragility is not None:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
-            lines += [
+            differs = f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records with a"
+            rows += [
                 ("median", f"{fit.median:.3g}{unit}{_interval(m)}"),
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
-                (
-                    "misfit",
-                    f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records with a "
-                    "capacity up to the level",
-                ),
+                ("misfit", f"{differs} capacity up to the level"),
             ]
         if (lost := self.if_lost_fail) is not None:
             text = f"median {lost.fit.median:.3g}{unit}{_interval(lost.median)}, dispersion {lost.fit.dispersion:.3g}"
-            lines.append(("if lost", f"{text}, if the simulations without a result are failures"))
+            rows.append(("if lost", f"{text}, if the simulations without a result are failures"))
         if self.pulses is not None:
-            lines += _pulse_lines(self.pulses)
-            lines += [(one.title, one.text) for one in self.predictions]
+            rows += _pulse_lines(self.pulses)
+            rows += [(one.by.split()[0], one.text) for one in self.predictions]
         if self.margin is not None and self.options is not None:
             margin, factor = self.margin, self.options.shape_factor
-            lines += [
+            ends = tuple(factor * end for end in self.cmr_interval)
+            rows += [
                 ("CMR", f"{margin.cmr:.3g}{_interval(self.cmr_interval)}"),
-                (
-                    "ACMR",
-                    f"{margin.acmr:.3g} with a shape factor of {factor:.4g}"
-                    f"{_interval(tuple(factor * end for end in self.cmr_interval))}",
-                ),
+                ("ACMR", f"{margin.acmr:.3g} with a shape factor of {factor:.4g}{_interval(ends)}"),
             ]
             for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
-                verdict = _verdict(margin.acmr, [factor * end for end in self.cmr_interval], least)
-                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:.3g}: {verdict}"))
-        return lines
+                verdict = _verdict(margin.acmr, ends, least)
+                rows.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:.3g}: {verdict}"))
+        return titled(rows, 11) + [f"note: {note}" for note in self.notes]
 
     @property
     def notes(self) -> list[str]:
         """What is assumed, and what to know of the runs, as sentences."""
-        capacities, notes = self.capacities, list[str]()
-        at_lowest = int((capacities.capacity <= self.lowest).sum())
+        capacities, notes, count = self.capacities, list[str](), len(self.capacities.capacity)
+        at_lowest, failures = int((capacities.capacity <= self.lowest).sum()), int(capacities.numerical_failures.sum())
         if self.fragility is None:
             # Motions that are far too strong have no outcome, rather than a capacity at the lowest level.
-            count, failures = len(capacities.capacity), int(capacities.numerical_failures.sum())
             lower = "Lower" if 2 * at_lowest > count or failures > count else "Raise"
             without = "curve" if self.options is None else "curve and no collapse margin ratio"
             notes.append(
@@ -187,7 +176,7 @@ class IdaFindings:
             )
             if self.pulses is not None:
                 notes.append("The pulses and the reduced model have no vertical component.")
-        if self.failed < len(capacities.capacity):
+        if self.failed < count:
             notes.append("Records without a capacity enter the fit as capacities above the highest level.")
         if at_lowest:
             notes.append(
@@ -204,45 +193,44 @@ class IdaFindings:
                 f"In {lifted} of the simulations a plate rises above its rim and the bearing fails before the slider "
                 "touches a rim. They count as failures."
             )
-        if failures := int(capacities.numerical_failures.sum()):
+        if failures:
             notes.append(
                 f"{failures} of the simulations failed numerically. They count as neither survived nor failed. If they "
                 "are failures, the line `if lost` holds; for a custom simulator, simulator.lost says so. "
-                f"{self.fault}".rstrip()
+                f"{self.subject.fault}".rstrip()
             )
-        if self.pulses is not None and self.pulses.compared < len(capacities.capacity):
-            left_out = len(capacities.capacity) - self.pulses.compared
+        if self.pulses is not None and self.pulses.compared < count:
             notes.append(
-                f"{left_out} of the records are not in the ratio: under the record or its pulse, the outcome occurs "
-                "at no level or at every level. If it occurs at no level under the pulses, the ratio is probably too "
-                "small."
+                f"{count - self.pulses.compared} of the records are not in the ratio: under the record or its pulse, "
+                "the outcome occurs at no level or at every level. If it occurs at no level under the pulses, the "
+                "ratio is probably too small."
             )
-        if self.simulator:
-            notes.append(
-                "The campaign's code reads and scales the records. Their names and events are those of --records, in "
-                "the same order."
-            )
+        notes += self.subject.notes
         notes.append("Capacities, shares of records, counts of levels and the misfit have no interval.")
         notes.append(
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None and self.options is not None:
-            if self.outcome != self.outcomes[-1]:
+            if not self.is_of_worst:
                 notes.append(f"The margin ratio is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        capacities, fragility, margin = self.capacities, self.fragility, self.margin
-        rows = zip(self.records.records, capacities.below, capacities.capacity, strict=True)
+        one, capacities, fragility, margin, options = (
+            self.subject, self.capacities, self.fragility, self.margin, self.options
+        )  # fmt: skip
+        counts = {
+            name: getattr(capacities, name).tolist() for name in ("resurrections", "numerical_failures", "lifted")
+        }
         return {
-            "bearing": dict(self.values),
-            "terms": None if (terms := self.terms) is None else terms.as_json(),
-            "simulator": self.simulator or None,
-            "model": None if self.model is None else asdict(self.model),
-            "tolerance": None if self.tolerance is None else self.tolerance.relative,
+            "bearing": dict(one.values),
+            "terms": None if self.terms is None else self.terms.as_json(),
+            "simulator": None if isinstance(one, BearingSubject) else one.name,
+            "model": asdict(one.model) if isinstance(one, BearingSubject) else None,
+            "tolerance": one.tolerance.relative if isinstance(one, BearingSubject) else None,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -252,84 +240,78 @@ class IdaFindings:
             "highest_level": self.highest,
             "records": [
                 {
-                    "record": one.motion.name,
-                    "event": one.event,
-                    "intensity": self.intensity.of_record(one.motion),
-                    "below": float(below),
-                    "capacity": float(capacity) if np.isfinite(capacity) else None,
-                    "resurrections": int(capacities.resurrections[k]),
-                    "numerical_failures": int(capacities.numerical_failures[k]),
-                    "lifted": int(capacities.lifted[k]),
+                    "record": record.motion.name,
+                    "event": record.event,
+                    "intensity": self.intensity.of_record(record.motion),
+                    "below": float(capacities.below[k]),
+                    "capacity": _finite(capacities.capacity[k]),
+                    **{name: values[k] for name, values in counts.items()},
                 }
-                for k, (one, below, capacity) in enumerate(rows)
+                for k, record in enumerate(self.records.records)
             ],
             "if_lost_fail": None if self.if_lost_fail is None else _numbers(self.if_lost_fail),
-            "median": None if fragility is None else fragility.fit.median,
-            "median_interval": None if fragility is None else list(fragility.median) or None,
-            "dispersion": None if fragility is None else fragility.fit.dispersion,
-            "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
+            **_numbers(fragility),
             "confidence": CONFIDENCE,
             "misfit": None if fragility is None else self.misfit,
             "cmr": None if margin is None else margin.cmr,
             "cmr_interval": list(self.cmr_interval) or None,
-            "shape_factor": None if self.options is None else self.options.shape_factor,
-            "beta_total": None if self.options is None else self.options.total_dispersion,
+            "shape_factor": None if options is None else options.shape_factor,
+            "beta_total": None if options is None else options.total_dispersion,
             "acmr": None if margin is None else margin.acmr,
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
             "pulses": None if self.pulses is None else _pulses_as_json(self.pulses),
-            "predictions": [{"by": one.by, **one.levels.as_json(), "outside": one.outside} for one in self.predictions],
+            "predictions": [{"by": one.by, **asdict(one.levels), "outside": one.outside} for one in self.predictions],
             "notes": self.notes,
         }
 
 
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
 def _verdict(acmr: float, interval: Sequence[float], least: float) -> str:
     """Whether a margin is acceptable; undecided if its interval contains the least acceptable value."""
-    if interval and interval[0] < least <= interval[1]:
-        return f"{'met' if acmr >= least else 'not met'}, but the interval of the ACMR contains this value"
-    return "met" if acmr >= least else "not met"
+    verdict = "met" if acmr >= least else "not met"
+    contains = interval and interval[0] < least <= interval[1]
+    return f"{verdict}, but the interval of the ACMR contains this value" if contains else verdict
 
 
 def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
     low, middle, high = np.quantile([one.explained for one in compared.pulses], [0.1, 0.5, 0.9])
-    lines = [("pulses", f"explain {low:.2f}, {middle:.2f}, {high:.2f} of the velocity's energy (10, 50, 90 %)")]
+    rows = [("pulses", f"explain {low:.2f}, {middle:.2f}, {high:.2f} of the velocity's energy (10, 50, 90 %)")]
     if compared.compared:
-        ends = tuple(math.exp(end) for end in compared.interval)
-        lines.append(
-            (
-                "ratio",
-                f"a pulse alone causes the outcome at {math.exp(compared.mean):.3g} times its record's intensity"
-                f"{_interval(ends)}; "
-                f"sd of the logarithm {compared.spread:.2g}; {compared.compared} records",
-            )
+        text = (
+            f"a pulse alone causes the outcome at {math.exp(compared.mean):.3g} times its record's intensity"
+            f"{_interval(tuple(map(math.exp, compared.interval)))}; sd of the logarithm {compared.spread:.2g}; "
+            f"{compared.compared} records"
         )
+        rows.append(("ratio", text))
     levels = compared.levels
-    lines.append(
-        (
-            "levels",
-            f"record and pulse cause the same outcome at {levels.same} of {levels.levels} levels; at {levels.missed} "
-            f"only the record causes failure, at {levels.false} only the pulse",
-        )
+    text = (
+        f"record and pulse cause the same outcome at {levels.same} of {levels.levels} levels; at {levels.missed} only "
+        f"the record causes failure, at {levels.false} only the pulse"
     )
-    return lines
+    return [*rows, ("levels", text)]
 
 
 def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
+    pairs = zip(compared.pulses, compared.capacities.capacity, strict=True)
     return {
         "pulses": [
             {
                 "period": one.period,
                 "amplitude": one.amplitude,
                 "explained": one.explained,
-                "capacity": float(capacity) if np.isfinite(capacity) else None,
+                "capacity": _finite(capacity),
             }
-            for one, capacity in zip(compared.pulses, compared.capacities.capacity, strict=True)
+            for one, capacity in pairs
         ],
         "mean_log_ratio": compared.mean,
         "mean_log_ratio_interval": list(compared.interval) or None,
         "sd_log_ratio": compared.spread,
         "compared": compared.compared,
-        **compared.levels.as_json(),
+        **asdict(compared.levels),
     }
 
 
@@ -337,10 +319,10 @@ def _interval(ends: tuple[float, ...]) -> str:
     return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
 
 
-def _numbers(fragility: Fragility) -> dict[str, Any]:
+def _numbers(fragility: Fragility | None) -> dict[str, Any]:
     return {
-        "median": fragility.fit.median,
-        "median_interval": list(fragility.median) or None,
-        "dispersion": fragility.fit.dispersion,
-        "dispersion_interval": list(fragility.dispersion) or None,
+        "median": None if fragility is None else fragility.fit.median,
+        "median_interval": None if fragility is None else list(fragility.median) or None,
+        "dispersion": None if fragility is None else fragility.fit.dispersion,
+        "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
     }

@@ -26,6 +26,15 @@ _PERIODS = (0.01, 100.0)
 
 Kind = Literal["factor", "pga", "pgv", "sa", "p695"]
 
+_NAMES: dict[str, tuple[str, str]] = {
+    "factor": ("scale factor", ""),
+    "pga": ("PGA", "g"),
+    "pgv": ("PGV", "m/s"),
+    "sa": ("Sa({T:g} s)", "g"),
+    "p695": ("S_T({T:g} s)", "g"),
+}
+"""Name and unit of each kind."""
+
 
 @dataclass(frozen=True)
 class Intensity:
@@ -51,20 +60,18 @@ class Intensity:
             InputError: if it is something else, or T is not between 0.01 and 100 s.
         """
         name, _, period = text.partition(":")
-        if name == "sa":
-            try:
-                T = float(period)
-            except ValueError:
-                T = math.nan
-            if not _PERIODS[0] <= T <= _PERIODS[1]:
-                raise InputError(
-                    f"--scale-to: sa requires a period from {_PERIODS[0]:g} to {_PERIODS[1]:g} s, as in sa:3.5, got "
-                    f"{visible(text)!r}."
-                )
-            return cls("sa", T)
-        if name not in ("factor", "pga", "pgv", "p695") or period:
-            raise InputError(f"--scale-to: must be factor, pga, pgv, sa:T or p695, got {visible(text)!r}.")
-        return cls(name)  # type: ignore[arg-type]
+        if name in _NAMES and name != "sa" and not period:
+            return cls(name)  # type: ignore[arg-type]
+        try:
+            T = float(period) if name == "sa" else math.nan
+        except ValueError:
+            T = math.nan
+        if not _PERIODS[0] <= T <= _PERIODS[1]:
+            raise InputError(
+                f"--scale-to: must be factor, pga, pgv, p695 or sa:T with a period T from {_PERIODS[0]:g} to "
+                f"{_PERIODS[1]:g} s, such as sa:3.5, got {visible(text)!r}."
+            )
+        return cls("sa", T)
 
     def on(self, period: float, set_name: str) -> Self:
         """The measure for a structure and a set of records: "p695" takes its period and its S_NRT from them.
@@ -83,13 +90,12 @@ class Intensity:
     @property
     def name(self) -> str:
         """For tables and axes, such as "Sa(3.5 s)"."""
-        T = f"{self.period:g} s"
-        return {"factor": "scale factor", "pga": "PGA", "pgv": "PGV", "sa": f"Sa({T})", "p695": f"S_T({T})"}[self.kind]
+        return _NAMES[self.kind][0].format(T=self.period)
 
     @property
     def unit(self) -> str:
         """Empty for a factor."""
-        return {"factor": "", "pga": "g", "pgv": "m/s", "sa": "g", "p695": "g"}[self.kind]
+        return _NAMES[self.kind][1]
 
     def of_record(self, motion: Accelerogram) -> float:
         """The intensity of a record as it is.
@@ -97,27 +103,23 @@ class Intensity:
         Raises:
             InputError: if the record does not move.
         """
-        value = {
-            "factor": lambda: 1.0,
-            "pga": lambda: motion.peak / GRAVITY,
-            "pgv": lambda: motion.peak_velocity,
-            "sa": lambda: spectral_acceleration(motion, self.period) / GRAVITY,
-            "p695": lambda: self.of_set,
-        }[self.kind]()
         if motion.peak == 0.0:
             raise InputError(f"{motion.name}: does not move the ground, so it cannot be scaled.")
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{motion.name}: its {self.name} must be positive, got {value:g}.")
-        return value
+        match self.kind:
+            case "factor":
+                return 1.0
+            case "pga":
+                return motion.peak / GRAVITY
+            case "pgv":
+                return motion.peak_velocity
+            case "sa":
+                return spectral_acceleration(motion, self.period) / GRAVITY
+            case "p695":
+                return self.of_set
 
 
 def unscaled(intensity: Intensity, motions: Sequence[Accelerogram], highest: float) -> Array:
-    """The intensities of records as they are, (n,).
-
-    Args:
-        intensity: its measure.
-        motions: the n records.
-        highest: level to which they will be scaled.
+    """The intensities of n records as they are, (n,), which will be scaled up to a highest level.
 
     Raises:
         InputError: if a record does not move, or if its accelerations at the highest level would be too large.
@@ -128,9 +130,8 @@ def unscaled(intensity: Intensity, motions: Sequence[Accelerogram], highest: flo
         # A product that overflows is infinite.
         peak = max(motion.peak, vertical) / value * highest
         if not peak <= LARGEST:
-            unit = f" {intensity.unit}" if intensity.unit else ""
             raise InputError(
-                f"--to: {highest:g}{unit} scales {motion.name} to {peak:.3g} m/s2; a record must stay below "
+                f"--to: {highest:g} {intensity.unit} scales {motion.name} to {peak:.3g} m/s2; a record must stay below "
                 f"{LARGEST:g} m/s2."
             )
     return own

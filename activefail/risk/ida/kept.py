@@ -20,50 +20,40 @@ _PART = 100
 
 _LARGEST_FILE = 100_000_000
 
-_LONGEST = 20
-"""Most characters of a value in a message."""
-
 _WORDS = {
     "simulator": "another simulator",
     "code": "other code of the simulator",
-    "bearing": "another bearing",
     "records": "other records",
+    "bearing": "another bearing",
     "intensities": "another --scale-to",
     "model": "another model",
     "tolerance": "another tolerance",
     "versions": "other versions",
 }
-"""What differs if a part of the identity does."""
+"""What differs if a part of the identity does; one that differs may change those after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Simulations whose outcomes are kept in a file, from which an interrupted analysis continues.
+    """Simulations whose outcomes are kept in a JSON file, from which an interrupted analysis continues.
 
-    Numerical failures are not kept: they may have been those of a machine.
-
-    Attributes:
-        simulate: makes the simulations that the file lacks.
-        file: JSON; a damaged one is replaced.
-        identity: all that the outcomes depend on, besides record and level, as JSON values.
-        progress: called with the number of simulations that were kept.
+    Numerical failures are not kept: they may have been those of a machine. A damaged file is replaced.
     """
 
-    simulate: Simulate
-    file: Path
-    identity: Mapping[str, Any]
-    progress: Callable[[int], None] | None = None
+    simulate: Simulate  # makes the simulations that the file lacks
+    file: Path  # the file
+    identity: Mapping[str, Any]  # all that the outcomes depend on, besides record and level, as JSON values
+    progress: Callable[[int], None]  # called with the number of simulations that were kept
 
     def __call__(self, runs: Runs) -> Answers:
         """The outcomes of records at levels.
 
         Raises:
-            InputError: as `read` does, or if the file cannot be written; or as `simulate` does.
+            InputError: if the file has simulations of another analysis, or cannot be written.
         """
         known = self.read()
         missing = [one for one in runs if one not in known]
-        if self.progress is not None:
-            self.progress(len(runs) - len(missing))
+        self.progress(len(runs) - len(missing))
         for first in range(0, len(missing), _PART):
             part = missing[first : first + _PART]
             answers = self.simulate(part)
@@ -80,16 +70,17 @@ class Kept:
         """
         try:
             saved = json.loads(read_regular(self.file, _LARGEST_FILE, follow=True))
-            rows, of = saved["simulations"], dict(saved["of"])
-            if saved["digest"] != _digest([of, rows]):
+            rows, there = saved["simulations"], dict(saved["of"])
+            if saved["digest"] != _digest([there, rows]):
                 return {}
             known = {(int(k), float(level)): (int(outcome), bool(lifted)) for k, level, outcome, lifted in rows}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return {}
-        if different := _different(of, json.loads(json.dumps(self.identity))):
+        here = json.loads(json.dumps(self.identity))
+        if different := next((words for name, words in _WORDS.items() if there.get(name) != here.get(name)), None):
             raise InputError(
-                f"{visible(str(self.file))}: has simulations with {visible(different)}. Name another folder, or remove "
-                "this file to simulate again."
+                f"{visible(str(self.file))}: has simulations with {different}. Name another folder, or remove this "
+                "file to simulate again."
             )
         return known
 
@@ -98,31 +89,6 @@ class Kept:
         of = dict(self.identity)
         with writing_to(self.file), replacing(self.file) as file:
             json.dump({"of": of, "digest": _digest([of, rows]), "simulations": rows}, file)
-
-
-def _different(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """The parts of two identities that differ, in words; empty if none does."""
-    parts = [name for name in (*here, *there) if there.get(name) != here.get(name)]
-    if "records" in parts or "simulator" in parts:
-        # They have other intensities, and another simulator has other values too.
-        consequences = {"intensities"} | ({"bearing", "code", "model", "tolerance"} if "simulator" in parts else set())
-        parts = [name for name in parts if name not in consequences]
-    return " and ".join(
-        _WORDS.get(name, name) + _values(there.get(name), here.get(name)) for name in dict.fromkeys(parts)
-    )
-
-
-def _values(there: Any, here: Any) -> str:
-    """The values that differ, in brackets; empty if the part has no names."""
-    if not (isinstance(there, dict) and isinstance(here, dict)):
-        return ""
-    names = [name for name in dict.fromkeys((*there, *here)) if there.get(name) != here.get(name)]
-    pairs = {name: (str(there.get(name)), str(here.get(name))) for name in names}
-    # Digests say nothing.
-    texts = (
-        name if max(map(len, pair)) > _LONGEST else f"{name} {pair[0]}, now {pair[1]}" for name, pair in pairs.items()
-    )
-    return f" ({'; '.join(texts)})"
 
 
 def _digest(values: object) -> str:

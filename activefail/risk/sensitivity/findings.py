@@ -19,20 +19,13 @@ _NONE = "–"
 
 @dataclass(frozen=True)
 class Move:
-    """The probability at two values of one variable, with the others at their base values.
-
-    Attributes:
-        name: of the variable.
-        value: that the variable has otherwise.
-        low, high: its 10 % and 90 % quantiles in the campaign.
-        at_low, at_high: the probabilities there.
-    """
+    """The probability at two values of one variable, with the others at their base values."""
 
     name: str
-    value: float
-    low: float
-    high: float
-    at_low: float
+    value: float  # that the variable has otherwise
+    low: float  # its 10 % quantile in the campaign
+    high: float  # 90 %
+    at_low: float  # the probabilities there
     at_high: float
 
 
@@ -84,23 +77,20 @@ class SensitivityFindings:
 
     exit_code = 0
 
-    def with_length_scales(self, length_scales: Mapping[str, float]) -> Self:
-        """The same with the length scales that stand beside the indices."""
-        note = (
-            "A length scale is in standard deviations of the feature over the campaign's space: short where the "
-            "classifier changes quickly. It has no interval."
-        )
-        notes = (*self.notes, note) if length_scales and self.indices else self.notes
-        return replace(self, length_scales=length_scales, notes=notes)
-
-    def with_p_values(self, p_values: Mapping[str, float]) -> Self:
-        """The same with the p-values that stand beside the indices."""
-        note = (
-            "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
-            "detects monotone effects only. A large p-value does not show that a variable has no effect."
-        )
-        notes = (*self.notes, note) if p_values and self.indices else self.notes
-        return replace(self, p_values=p_values, notes=notes)
+    def beside(self, length_scales: Mapping[str, float], p_values: Mapping[str, float]) -> Self:
+        """The same with what stands beside the indices."""
+        notes = list(self.notes)
+        if length_scales and self.indices:
+            notes.append(
+                "A length scale is in standard deviations of the feature over the campaign's space: short where the "
+                "classifier changes quickly. It has no interval."
+            )
+        if p_values and self.indices:
+            notes.append(
+                "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
+                "detects monotone effects only. A large p-value does not show that a variable has no effect."
+            )
+        return replace(self, length_scales=length_scales, p_values=p_values, notes=tuple(notes))
 
     @property
     def heading(self) -> str:
@@ -180,12 +170,7 @@ class SensitivityFindings:
             "pulses": self.pulses,
             "outside_design_space": self.outside,
             "indices": [
-                {
-                    "variable": name,
-                    "unit": self.units[name],
-                    "first": dict(first._asdict()),
-                    "total": dict(total._asdict()),
-                }
+                {"variable": name, "unit": self.units[name], "first": first._asdict(), "total": total._asdict()}
                 for name, first, total in self.indices
             ],
             "probability": self.probability,

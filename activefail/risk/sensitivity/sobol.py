@@ -28,32 +28,25 @@ class Estimate(NamedTuple):
 
 
 class Index(NamedTuple):
-    """The Sobol' indices of one variable.
-
-    Attributes:
-        name: of the variable.
-        first: share of the variance that the variable explains alone.
-        total: share of the variance that remains if all other variables are known.
-    """
+    """The Sobol' indices of one variable."""
 
     name: str
-    first: Estimate
-    total: Estimate
+    first: Estimate  # share of the variance that the variable explains alone
+    total: Estimate  # that remains if all other variables are known
 
 
 class Decomposition(NamedTuple):
-    """The variance of a function, by its variables.
-
-    Attributes:
-        mean, sd: of the function over the sample.
-        rarer: the smaller of Σ y and Σ (1 − y) over the sample: for a probability, the designs on the rarer side.
-        indices: of the variables, in order; empty if the function is constant.
-    """
+    """The variance of a function over a sample, by its variables."""
 
     mean: float
     sd: float
-    rarer: float
-    indices: tuple[Index, ...]
+    rarer: float  # the smaller of Σ y and Σ (1 − y): for a probability, the designs on the rarer side
+    indices: tuple[Index, ...]  # of the variables, in order; empty if the function is constant
+
+    @property
+    def by_total(self) -> tuple[Index, ...]:
+        """The indices by decreasing total index."""
+        return tuple(sorted(self.indices, key=lambda index: -index.total.value))
 
 
 Function = Callable[[Array], Array]
@@ -74,14 +67,16 @@ def require_salib() -> tuple[Any, Any]:
         ) from None
 
 
-def check_samples(samples: int) -> None:
-    """Check the number of points of a sample.
+def checked_samples(samples: int) -> int:
+    """The number of points of a sample, before any work.
 
     Raises:
-        InputError: if it is no power of two, or too small.
+        InputError: if it is no power of two of at least 16, or SALib is not installed.
     """
+    require_salib()
     if samples < LEAST_SAMPLES or samples & (samples - 1):
         raise InputError(f"samples: must be a power of two of at least {LEAST_SAMPLES}, got {samples}.")
+    return samples
 
 
 def decomposed(
@@ -102,10 +97,9 @@ def decomposed(
         seed: of the sample and the bootstrap; positive.
 
     Raises:
-        InputError: if SALib is not installed, or the number of samples is invalid.
+        InputError: if SALib is not installed.
     """
     sampling, analysis = require_salib()
-    check_samples(samples)
     d = len(names)
     problem = {"num_vars": d, "names": list(names), "bounds": [[0.0, 1.0]] * d}
     U = sampling.sample(problem, samples, calc_second_order=False, seed=np.random.default_rng(seed))

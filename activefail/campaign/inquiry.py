@@ -1,0 +1,150 @@
+"""What is asked of a campaign: a question, or the hazard of a site, which asks one."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+
+from activefail.acquisition.population import integration_points
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question, question_of, question_with, values_of
+from activefail.campaign.settings import parse_toml, read_text
+from activefail.errors import InputError, naming
+from activefail.files import path_of
+from activefail.simulators.interface import Simulator
+from activefail.space import DesignSpace
+
+_CHECKED = 256
+"""Designs of a question on which its values are checked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inquiry:
+    """What is asked of a campaign.
+
+    Attributes:
+        campaign: the campaign.
+        question: the distribution of its variables.
+        hazard: whose question it is, at one of its property bounds; None for another question.
+    """
+
+    campaign: Campaign
+    question: Question
+    hazard: Hazard | None = None
+
+    @classmethod
+    def of(
+        cls,
+        campaign: Campaign,
+        hazard: Hazard | Path | str | None = None,
+        question: Question | Path | str | None = None,
+        fixed: Mapping[str, float] | Path | str | None = None,
+        free: Collection[str] = (),
+    ) -> "Inquiry":
+        """The inquiry of a hazard, of a question, or of the campaign's own question.
+
+        Args:
+            campaign: the campaign.
+            hazard, question: either, or its file; a question file may be a hazard file.
+            fixed: values of variables, by name or in a TOML file.
+            free: variables that get their values later.
+
+        Raises:
+            InputError: naming the file, the key, the rule and the value.
+        """
+        if hazard is not None and question is not None:
+            raise InputError("question: cannot be combined with hazard.")
+        space, given = campaign.space, question if hazard is None else hazard
+        values = values_of(fixed, space)
+        file = str(given) if isinstance(given, str | PathLike) else ""
+        if hazard is not None:
+            given = hazard if isinstance(hazard, Hazard) else read_hazard(path_of("hazard", hazard))
+        elif given is None:
+            # Without values a campaign's own design measure stays what it is, with its stored simulations.
+            given = question_of(campaign.settings.question, space, values) if values else campaign.question
+        elif not isinstance(given, Question | Hazard):
+            given = read_question(path_of("question", given), space, values)
+        elif isinstance(given, Question) and values:
+            given = given.at(values)
+        if isinstance(given, Hazard):
+            with naming(f"{file}: " if file else ""):
+                asked = cls.of_hazard(campaign, given, values, free)
+        else:
+            asked = cls(campaign, given)
+        check_designs_of(asked.question, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+        return asked
+
+    @classmethod
+    def of_hazard(
+        cls, campaign: Campaign, hazard: Hazard, fixed: Mapping[str, float], free: Collection[str] = ()
+    ) -> "Inquiry":
+        """The inquiry of a hazard.
+
+        Args:
+            campaign: the campaign.
+            hazard: the hazard.
+            fixed: values of variables.
+            free: variables that get their values later. Under rows of pulses they have none in the question.
+
+        Raises:
+            InputError: as `hazard_question` does.
+        """
+        # The pulses of a file have no distribution of other variables beside them.
+        waiting = [name for name in free if name not in fixed] if hazard.rows is not None else []
+        meanwhile = _middles(campaign.space, waiting)
+        question = hazard_question(hazard, campaign.space, {**meanwhile, **fixed})
+        known = {name: value for name, value in question.fixed.items() if name not in meanwhile}
+        return cls(campaign, replace(question, fixed=known), hazard)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The values of the campaign's variables that are certain, by name."""
+        return {name: value for name, value in self.question.fixed.items() if name in self.campaign.space.names}
+
+    def at(self, values: Mapping[str, float]) -> "Inquiry":
+        """The inquiry with these values of variables."""
+        return replace(self, question=self.question.at(values))
+
+    def under(self, hazard: Hazard, pgv: float | None = None) -> Question:
+        """The question of a variant of the hazard, with the same values (see `hazard_question`)."""
+        return hazard_question(hazard, self.campaign.space, self.fixed, pgv)
+
+
+def _middles(space: DesignSpace, names: Collection[str]) -> dict[str, float]:
+    """The middles of the ranges of variables, without those of a pulse and without names that are unknown."""
+    return {
+        one.name: 0.5 * (one.low + one.high)
+        for one in space.parameters
+        if one.name in names and one.name not in (PERIOD, AMPLITUDE)
+    }
+
+
+def read_question(path: Path, space: DesignSpace, fixed: Mapping[str, float]) -> Question | Hazard:
+    """The question of a question file, with values of variables; or the hazard of a hazard file.
+
+    Raises:
+        InputError: naming the file, the key, the rule and the value.
+    """
+    values = parse_toml(read_text(path), str(path))
+    return hazard_of(values, path) if is_of_hazard(values) else question_with(values, path, space, fixed)
+
+
+def check_designs_of(question: Question, simulator: Simulator, source: str) -> None:
+    """Check that a simulator can take the designs of a question, which may lie outside the campaign's design space.
+
+    Args:
+        question: the question.
+        simulator: the campaign's; only one with a `check` is asked (see `simulators.interface.Simulator`).
+        source: the file that gave the values, for the message; empty if none did.
+
+    Raises:
+        InputError: naming the source, the rule and the value.
+    """
+    check = getattr(simulator, "check", None)
+    if check is None or question.is_own:
+        return
+    X, _ = integration_points(question.space, _CHECKED)
+    with naming(f"{source or question.title}: the simulator cannot take these values: "):
+        # Without the factors of property bounds: the message then has the user's values.
+        check(replace(question, factors={}).designs(X))
