@@ -145,10 +145,9 @@ def _restored(
             if isinstance(classifier, Classifier):
                 classifier = with_lost(campaign, classifier, history)
             return iteration, state, classifier
-        except KeyError:  # an older version saved fewer arrays: retrain from the record
-            break
-        except DamagedError as error:
-            store.reject_state(iteration, str(error))
+        # Whatever is wrong with a state, the record teaches the same again.
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, DamagedError) as error:
+            store.reject_state(iteration, f"cannot be used ({type(error).__name__})")
     return None
 
 
