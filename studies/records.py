@@ -39,9 +39,9 @@ from activefail.risk.ida.capacity import BISECTIONS, LEVELS, ladder
 from activefail.risk.ida.intensity import Intensity
 
 BEARINGS = {
-    "T_b 3 s, mu 0.06, D_tot 0.55 m": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],
-    "T_b 3.5 s, mu 0.06, D_tot 0.60 m": [3.5, 0.06, 0.60, 0.6, 0.10, 45.0, 2e9],
-    "T_b 4.5 s, mu 0.10, D_tot 0.75 m": [4.5, 0.10, 0.75, 0.5, 0.15, 40.0, 3e9],
+    "T_b 3 s": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],
+    "T_b 3.5 s": [3.5, 0.06, 0.60, 0.6, 0.10, 45.0, 2e9],
+    "T_b 4.5 s": [4.5, 0.10, 0.75, 0.5, 0.15, 40.0, 3e9],
 }
 SETS = ("farfield", "nearfield-pulse", "nearfield-no-pulse")
 PGV = Intensity.of("pgv")
@@ -111,7 +111,7 @@ def labels(sets):
 
 def times(records):
     """Processor time of a ladder of LEVELS + BISECTIONS levels, and of the analysis with bisection [s]; its runs."""
-    bearing = np.array(BEARINGS["T_b 3.5 s, mu 0.06, D_tot 0.60 m"])
+    bearing = np.array(BEARINGS["T_b 3.5 s"])
     levels = np.geomspace(0.25, 4.0, LEVELS + BISECTIONS)
     moved = [r.motion.scaled(x / PGV.of_record(r.motion)) for r in records.records for x in levels]
     _, of_ladder = timed(lambda: simulate_records(np.tile(bearing, (len(moved), 1)), moved, threads=1))
