@@ -790,7 +790,7 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
     assert (tmp_path / "out" / "comparison.md").exists()
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     # The same pictures would be drawn each time.
-    monkeypatch.setattr("activefail.report.comparison.save_png_and_svg", lambda *drawn: None)
+    monkeypatch.setattr("activefail.report.folder.save_png_and_svg", lambda *drawn: [])
     repeated = activefail(*words, "--out", tmp_path / "out")
     assert repeated.out == result.out
     assert repeated.err == ""

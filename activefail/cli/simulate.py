@@ -166,9 +166,11 @@ def _simulate_one(
     for note in [*notes, *outside_table_1(design)]:
         print(f"note: {visible(note)}", file=sys.stderr)
     if plot is not None:
-        from activefail.figures.motion import save_response
+        from activefail.figures.motion import plot_response
+        from activefail.figures.style import save_figure
 
-        save_response(response, plot)
+        with writing_to(plot):
+            save_figure(plot_response(response), plot)
         _print_file("plot", plot, as_json)
     if animate is not None:
         from activefail.figures.animation import save_animation

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from activefail.comparison.measures import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
+from activefail.files import read_regular
 from activefail.loop.history import History
 from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from
@@ -24,6 +26,9 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
 from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_results, simulated_set
+
+_LARGEST_TABLE = 10_000_000
+"""Most bytes of a table of scores."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,10 @@ class Recall:
 
     recalled: int
     total: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.recalled <= self.total:
+            raise ValueError(f"`0 <= recalled <= test` must hold, got {self.recalled} and {self.total}")
 
     @property
     def share(self) -> float:
@@ -87,9 +96,14 @@ class Score:
     given: int = 0
     hypercube: int = 0
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.low <= self.accuracy <= self.high <= 1.0:
+            interval = (self.low, self.accuracy, self.high)
+            raise ValueError(f"`0 <= low <= accuracy <= high <= 1` must hold, got {interval}")
+
     @classmethod
     def columns(cls) -> list[str]:
-        """Names of the fields that every version wrote to its table."""
+        """Names of the columns for fields with one number or word."""
         return [one.name for one in fields(cls) if one.name not in ("recall", "given", "hypercube")]
 
     @staticmethod

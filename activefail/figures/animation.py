@@ -4,7 +4,7 @@ import importlib.util
 import math
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,15 @@ from activefail.errors import ActivefailError, InputError
 from activefail.figures import style
 from activefail.figures.motion import (
     LIMIT_LINE,
-    PLATE_LINES,
     BearingDrawing,
     extent,
     figure_legend,
     mark_events,
+    mark_limits,
+    plot_plates,
     titled_figure,
 )
+from activefail.progress import Begin, uncounted
 
 Frame = NDArray[np.uint8]
 
@@ -52,7 +54,7 @@ def save_animation(
     path: str | Path,
     fps: float = 25.0,
     slow_motion: float | None = None,
-    begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None,
+    begin: Begin = uncounted,
 ) -> Path:
     """Write an animation of the bearing, from just before it moves to its failure or the end of the simulation.
 
@@ -89,18 +91,18 @@ def save_animation(
     count = int(np.clip(round(fps * film) + 1, 12, MOST_FRAMES))
     times = np.linspace(motion.onset, motion.end, count)
     interval = film / (count - 1)
-    frames = _counted(render(motion, times, slow_motion), begin(count))
+    advance = begin(count)
+
+    def counted() -> Iterator[Frame]:
+        for frame in render(motion, times, slow_motion):
+            yield frame
+            advance(1)
+
     if suffix == ".gif":
-        _write_gif(path, frames, count, interval)
+        _write_gif(path, counted(), count, interval)
     else:
-        _write_mp4(path, frames, interval, ffmpeg)
+        _write_mp4(path, counted(), interval, ffmpeg)
     return path
-
-
-def _counted(frames: Iterator[Frame], advance: Callable[[int], None]) -> Iterator[Frame]:
-    for frame in frames:
-        yield frame
-        advance(1)
 
 
 def default_slow_motion(duration: float) -> float:
@@ -179,12 +181,9 @@ def _plot_strips(strips: Sequence[Axes], motion: Motion) -> None:
     ground.set_title("Ground acceleration [g]")
     capacity = response.bearing.displacement_capacity
     shift.plot(t, motion.position(t)[:, 3], color=style.ORANGE)
-    shift.axhline(capacity, **LIMIT_LINE)
-    shift.axhline(-capacity, **LIMIT_LINE)
+    mark_limits(shift.axhline, capacity, "capacity")
     shift.set_title(r"Top plate [m], capacity $\pm D_{tot}$")
-    gaps = motion.contacts(t)[0]
-    for side, line in enumerate(PLATE_LINES):
-        uplift.plot(t, 1e3 * gaps[:, side], **line)
+    plot_plates(uplift, t, 1e3 * motion.contacts(t)[0])
     uplift.axhline(1e3 * response.bearing.rim_height, **LIMIT_LINE)
     uplift.set_title("Uplift [mm]")
     key: dict[str, Any] = {"bbox_to_anchor": (1.02, 0.97), "fontsize": 7, "columnspacing": 0.6, "handlelength": 1.4}

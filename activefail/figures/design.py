@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from activefail.figures.axes import legend_outside
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, styled
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import RequiredChart
@@ -21,9 +21,6 @@ _MARKERS = ("o", "s", "^", "v", "P", "X")
 
 _WIDTH = 26
 """Letters in a line of text that fits into a panel."""
-
-_LETTER, _HANDLE = 0.075, 0.6
-"""Widths of a legend's letter, and of its handle with the space around it [in]."""
 
 
 class Mark(NamedTuple):
@@ -46,6 +43,7 @@ class Mark(NamedTuple):
     is_result: bool = True
 
 
+@styled()
 def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark] = ()) -> Figure:
     """The required variable against another: a panel for each target, a line for each value of a third variable.
 
@@ -54,24 +52,23 @@ def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark
         space: of the campaign; has the units.
         marks: designs, each in the panel of its target.
     """
-    with styled():
-        figure = Figure(figsize=(2.2 + 2.9 * len(chart.targets), 3.9), layout="constrained")
-        panels = figure.subplots(1, len(chart.targets), sharex=True, sharey=True, squeeze=False)[0]
-        labels = [
-            f"{chart.lines} = {value:.3g}" + (f": no {chart.name} meets a target" if np.isnan(required).all() else "")
-            for value, required in zip(chart.values, chart.required.swapaxes(0, 1), strict=True)
-        ]
-        for axes, target, lines in zip(panels, chart.targets, chart.required, strict=True):
-            for colour, marker, label, required in zip(_COLOURS, _MARKERS, labels, lines, strict=False):
-                axes.plot(chart.x, required, color=colour, marker=marker, markersize=4, label=label)
-            if np.isnan(lines).all():
-                why = textwrap.fill(f"no {chart.name} in its range meets this target", _WIDTH)
-                axes.text(0.5, 0.35, why, transform=axes.transAxes, ha="center", va="center", color=GREY)
-            _draw_marks(axes, [mark for mark in marks if np.isclose(mark.target, target)])
-            axes.set_title(f"P({chart.outcome}) ≤ {100.0 * target:g} %")
-            axes.set_xlabel(_labelled(chart.across, space))
-        panels[0].set_ylabel(f"required {_labelled(chart.name, space)}")
-        _draw_legend(figure, panels)
+    figure = Figure(figsize=(2.2 + 2.9 * len(chart.targets), 3.9), layout="constrained")
+    panels = figure.subplots(1, len(chart.targets), sharex=True, sharey=True, squeeze=False)[0]
+    labels = [
+        f"{chart.lines} = {value:.3g}" + (f": no {chart.name} meets a target" if np.isnan(required).all() else "")
+        for value, required in zip(chart.values, chart.required.swapaxes(0, 1), strict=True)
+    ]
+    for axes, target, lines in zip(panels, chart.targets, chart.required, strict=True):
+        for colour, marker, label, required in zip(_COLOURS, _MARKERS, labels, lines, strict=False):
+            axes.plot(chart.x, required, color=colour, marker=marker, markersize=4, label=label)
+        if np.isnan(lines).all():
+            why = textwrap.fill(f"no {chart.name} in its range meets this target", _WIDTH)
+            axes.text(0.5, 0.35, why, transform=axes.transAxes, ha="center", va="center", color=GREY)
+        _draw_marks(axes, [mark for mark in marks if np.isclose(mark.target, target)])
+        axes.set_title(f"P({chart.outcome}) ≤ {100.0 * target:g} %")
+        axes.set_xlabel(_labelled(chart.across, space))
+    panels[0].set_ylabel(f"required {_labelled(chart.name, space)}")
+    legend_outside(figure)
     return figure
 
 
@@ -81,14 +78,11 @@ def marks_of(findings: DesignFindings) -> list[Mark]:
     if chart is None or chart.across not in values or chart.name not in values:
         return []
     target, x = designed.task.requirements[0].target, values[chart.across]
+    others = [look.candidate.values for look in designed.looks if look is not designed.result]
     marks = [
-        Mark(
-            look.candidate.values.get(chart.across, x), look.candidate.values[chart.name], target, "other look",
-            is_verified=False, is_result=False,
-        )
-        for look in designed.looks
-        if look is not designed.result
-    ]  # fmt: skip
+        Mark(tried.get(chart.across, x), tried[chart.name], target, "other look", is_verified=False, is_result=False)
+        for tried in others
+    ]
     verified = designed.status == "verified"
     label = f"{designed.status}: {chart.lines} = {values.get(chart.lines, float('nan')):.3g}"
     return [*marks, Mark(x, values[chart.name], target, label, is_verified=verified)]
@@ -114,17 +108,6 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark]) -> None:
             continue
         face = BLACK if mark.is_verified else "none"
         axes.plot([mark.x], [mark.y], "D", color=BLACK, markerfacecolor=face, label=mark.label, zorder=4)
-
-
-def _draw_legend(figure: Figure, panels: Sequence[Axes]) -> None:
-    """One legend below all panels, with each label once, in as many columns as fit."""
-    shown: dict[str, Artist] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            shown.setdefault(str(label), handle)
-    widest = _HANDLE + _LETTER * max(len(label) for label in shown)
-    columns = max(1, min(len(shown), int(figure.get_size_inches()[0] / widest)))
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=columns)
 
 
 def _labelled(name: str, space: DesignSpace) -> str:

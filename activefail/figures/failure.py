@@ -1,18 +1,19 @@
 """The probability of failure against simulations, and the failure domain through its most probable design."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from activefail.figures.axes import legend_outside, panel
 from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, SKY_BLUE, VERMILION, styled
 from activefail.findings.failure import FailureFindings
-from activefail.findings.quantities import Quantity
+from activefail.findings.quantities import Quantity, plain
+from activefail.findings.results import Findings
 from activefail.reliability.design_point import DesignPoint
 from activefail.space import Array, DesignSpace
 
@@ -26,6 +27,7 @@ _LEAST = 4.0
 """Least half-width of the plane in standard deviations."""
 
 
+@styled()
 def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
     """The probability with its 95 % interval under the classifier, and the simulations beyond the boundary so far.
 
@@ -34,39 +36,38 @@ def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
         beyond: the outcomes beyond the boundary, as mathtext.
     """
     n = failure.simulations
-    with styled():
-        figure = Figure(figsize=(7.0, 5.2), layout="constrained")
-        axes, counts = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
-        known = np.isfinite(failure.low) & (failure.probability > 0.0)
-        if known.any():
-            axes.fill_between(
-                n[known],
-                failure.low[known],
-                failure.high[known],
-                color=BLUE,
-                alpha=0.15,
-                linewidth=0.0,
-                label="95 % interval under the classifier",
-            )
-        positive = failure.probability > 0.0
-        axes.plot(n[positive], failure.probability[positive], color=BLUE, marker="o", label="classifier")
-        if (estimate := failure.estimate) is not None and estimate.probability > 0.0:
-            low = max(estimate.low, 1e-3 * estimate.probability)
-            # Rounding may make a length negative.
-            lengths = np.maximum([[estimate.probability - low], [estimate.high - estimate.probability]], 0.0)
-            label = f"{estimate.simulations} fresh simulations, {100.0 * estimate.confidence:g} % interval"
-            axes.errorbar([n[-1]], [estimate.probability], lengths, color=VERMILION, marker="D", capsize=4, label=label)
-        axes.set_yscale("log")
-        if positive.any():
-            # An interval that spans many decades before the first failures must not flatten the rest.
-            last = failure.probability[positive][-1]
-            axes.set_ylim(max(axes.get_ylim()[0], 1e-3 * last), min(axes.get_ylim()[1], max(1e3 * last, 1e-2), 1.5))
-        axes.set_ylabel(f"P({beyond}) [–]")
-        figure.legend(loc="outside lower center", ncols=3)
-        counts.step(n, failure.seen, where="post", color=BLACK)
-        counts.set(xlabel="simulations", ylabel=f"{beyond}\nseen")
-        for axis in (counts.xaxis, counts.yaxis):
-            axis.set_major_locator(MaxNLocator(integer=True))
+    figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+    axes, counts = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
+    known = np.isfinite(failure.low) & (failure.probability > 0.0)
+    if known.any():
+        axes.fill_between(
+            n[known],
+            failure.low[known],
+            failure.high[known],
+            color=BLUE,
+            alpha=0.15,
+            linewidth=0.0,
+            label="95 % interval under the classifier",
+        )
+    positive = failure.probability > 0.0
+    axes.plot(n[positive], failure.probability[positive], color=BLUE, marker="o", label="classifier")
+    if (estimate := failure.estimate) is not None and estimate.probability > 0.0:
+        low = max(estimate.low, 1e-3 * estimate.probability)
+        # Rounding may make a length negative.
+        lengths = np.maximum([[estimate.probability - low], [estimate.high - estimate.probability]], 0.0)
+        label = f"{estimate.simulations} fresh simulations, {100.0 * estimate.confidence:g} % interval"
+        axes.errorbar([n[-1]], [estimate.probability], lengths, color=VERMILION, marker="D", capsize=4, label=label)
+    axes.set_yscale("log")
+    if positive.any():
+        # An interval that spans many decades before the first failures must not flatten the rest.
+        last = failure.probability[positive][-1]
+        axes.set_ylim(max(axes.get_ylim()[0], 1e-3 * last), min(axes.get_ylim()[1], max(1e3 * last, 1e-2), 1.5))
+    axes.set_ylabel(f"P({beyond}) [–]")
+    legend_outside(figure)
+    counts.step(n, failure.seen, where="post", color=BLACK)
+    counts.set(xlabel="simulations", ylabel=f"{beyond}\nseen")
+    for axis in (counts.xaxis, counts.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 
@@ -82,27 +83,20 @@ def _marginal(x: Array, space: DesignSpace) -> Array:
     return np.array([float(p.to_normal(np.asarray(value))) for p, value in zip(space.parameters, x, strict=True)])
 
 
+@styled()
 def plot_failure_domain(
-    point: DesignPoint,
-    space: DesignSpace,
-    standardised: Callable[[Array], Array],
-    X: Array,
-    outcome: NDArray[np.int8],
-    outcomes: tuple[str, ...],
-    quantities: list[Quantity],
-    beyond: str,
+    point: DesignPoint, standardised: Callable[[Array], Array], findings: Findings, quantities: Sequence[Quantity]
 ) -> Figure:
     """The failure domain in the plane of the two variables that matter most, through the most probable failure.
 
     Args:
         point: the design point; the other variables have its values.
-        space: of at least two variables.
         standardised: the latent's mean/sd as a function of designs.
-        X, outcome: (n, d) and (n,) simulated designs with an outcome.
-        outcomes: names.
+        findings: of a campaign with at least two variables.
         quantities: of the variables.
-        beyond: the outcomes beyond the boundary, as mathtext.
     """
+    space, outcomes, beyond = findings.campaign.space, findings.campaign.simulator.outcomes, plain(findings.beyond)
+    X, outcome = findings.X[findings.answered], findings.outcome[findings.answered]
     i, j = plane_of(point, space)
     half = max(_LEAST, float(np.abs(_marginal(point.X, space)[[i, j]]).max()) + 1.0)
     line = np.linspace(-half, half, _GRID)
@@ -114,27 +108,25 @@ def plot_failure_domain(
     rows[:, i], rows[:, j] = (values.ravel() for values in np.meshgrid(along[:, i], along[:, j]))
     certainty = standardised(rows).reshape(_GRID, _GRID)
     x, y = along[:, i], along[:, j]
-    with styled():
-        figure = Figure(figsize=(7.0, 5.6), layout="constrained")
-        axes = figure.add_subplot()
-        farthest = float(np.abs(certainty).max()) + 2.0 * _SURE
-        sides = (SKY_BLUE, LIGHT_GREY, ORANGE)
-        axes.contourf(x, y, certainty, levels=[-farthest, -_SURE, _SURE, farthest], colors=sides, alpha=0.45)
-        if certainty.min() < 0.0 < certainty.max():
-            axes.contour(x, y, certainty, levels=[0.0], colors=BLACK, linewidths=1.6)
-        axes.contour(x, y, distance, levels=np.arange(1.0, half), colors=GREY, linestyles=":", linewidths=1.1)
-        scatter_outcomes(axes, X[:, i], X[:, j], outcome, outcomes, 26.0)
-        axes.plot(point.X[i], point.X[j], marker="*", markersize=14, color=BLACK, markeredgecolor="white", zorder=4)
-        axes.set(xlim=(along[0, i], along[-1, i]), ylim=(along[0, j], along[-1, j]))
-        axes.set(xlabel=quantities[i].axis, ylabel=quantities[j].axis)
-        axes.grid(False)
-        handles = [
-            *outcome_handles(outcomes),
-            Patch(color=sides[2], alpha=0.45, label=f"{beyond} predicted"),
-            Patch(color=sides[1], alpha=0.45, label="undecided"),
-            Line2D([], [], color=BLACK, linewidth=1.6, label="boundary"),
-            Line2D([], [], linestyle="", marker="*", markersize=10, color=BLACK, label="design point"),
-            Line2D([], [], linestyle=":", color=GREY, label="1, 2, … standard deviations"),
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure, axes = panel(7.0, 5.6)
+    farthest = float(np.abs(certainty).max()) + 2.0 * _SURE
+    sides = (SKY_BLUE, LIGHT_GREY, ORANGE)
+    axes.contourf(x, y, certainty, levels=[-farthest, -_SURE, _SURE, farthest], colors=sides, alpha=0.45)
+    if certainty.min() < 0.0 < certainty.max():
+        axes.contour(x, y, certainty, levels=[0.0], colors=BLACK, linewidths=1.6)
+    axes.contour(x, y, distance, levels=np.arange(1.0, half), colors=GREY, linestyles=":", linewidths=1.1)
+    scatter_outcomes(axes, X[:, i], X[:, j], outcome, outcomes, 26.0)
+    axes.plot(point.X[i], point.X[j], marker="*", markersize=14, color=BLACK, markeredgecolor="white", zorder=4)
+    axes.set(xlim=(along[0, i], along[-1, i]), ylim=(along[0, j], along[-1, j]))
+    axes.set(xlabel=quantities[i].axis, ylabel=quantities[j].axis)
+    axes.grid(False)
+    handles = [
+        *outcome_handles(outcomes),
+        Patch(color=sides[2], alpha=0.45, label=f"{beyond} predicted"),
+        Patch(color=sides[1], alpha=0.45, label="undecided"),
+        Line2D([], [], color=BLACK, linewidth=1.6, label="boundary"),
+        Line2D([], [], linestyle="", marker="*", markersize=10, color=BLACK, label="design point"),
+        Line2D([], [], linestyle=":", color=GREY, label="1, 2, … standard deviations"),
+    ]
+    legend_outside(figure, handles=handles)
     return figure

@@ -1,18 +1,23 @@
 """Fragility curves with verified levels, and the pulses that contribute the failures."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from activefail.figures.axes import legend_outside, plain_log
 from activefail.figures.marks import outcome_colour, outcome_marker
 from activefail.figures.style import BLACK, VERMILION, styled
 from activefail.findings.quantities import plain, quantity, words
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
 
+_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+"""Labels in a decade of an axis."""
 
+
+@styled()
 def plot_fragility_findings(findings: FragilityFindings) -> Figure:
     """The curves of all boundaries; beside them, under a hazard, the pulses that cause the most severe outcome.
 
@@ -20,13 +25,12 @@ def plot_fragility_findings(findings: FragilityFindings) -> Figure:
     """
     deaggregation = findings.boundaries[-1].deaggregation
     is_shown = deaggregation is not None and deaggregation.of_failures is not None
-    with styled():
-        figure = Figure(figsize=(10.4 if is_shown else 6.4, 4.8), layout="constrained")
-        axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
-        _draw_curves(axes[0], findings)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4 if is_shown else 2)
-        if deaggregation is not None and is_shown:
-            _draw_pulses(figure, axes[1], deaggregation, findings.boundaries[-1].outcome)
+    figure = Figure(figsize=(10.4 if is_shown else 6.4, 4.8), layout="constrained")
+    axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
+    _draw_curves(axes[0], findings)
+    legend_outside(figure)
+    if deaggregation is not None and is_shown:
+        _draw_pulses(figure, axes[1], deaggregation, findings.boundaries[-1].outcome)
     return figure
 
 
@@ -38,7 +42,7 @@ def _draw_curves(axes: Axes, findings: FragilityFindings) -> None:
         axes.axvline(findings.median, color=BLACK, linewidth=0.9, linestyle="-.", label="median of the hazard")
     if findings.ladder.is_log:
         axes.set_xscale("log")
-        _show_plain_numbers(axes.xaxis)
+        plain_log(axes.xaxis, _STEPS)
     variable = quantity(findings.ladder.name, findings.ladder.unit)
     axes.set(xlabel=variable.axis, ylabel="probability of this outcome or worse [–]", ylim=(-0.02, 1.02))
     axes.set_xlim(*_shown_levels(findings))
@@ -49,32 +53,18 @@ def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str)
     levels, name = one.curve.ladder.levels, plain(words(one.outcome))
     axes.plot(levels, one.curve.probability, color=colour, linewidth=1.8, label=name)
     if one.alone is not None:
-        axes.plot(
-            one.alone.ladder.levels,
-            one.alone.probability,
-            color=colour,
-            linewidth=1.0,
-            linestyle="--",
-            label=f"{name}, pulses alone",
-        )
+        alone = one.alone.ladder.levels, one.alone.probability
+        axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone")
     if (fit := one.lognormal) is not None:
         axes.plot(levels, fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal")
     if one.verified:
-        middle = np.array([level.estimate.probability for level in one.verified])
-        low = np.array([level.estimate.low for level in one.verified])
-        high = np.array([level.estimate.high for level in one.verified])
-        axes.errorbar(
-            [level.level for level in one.verified],
-            middle,
-            # An estimate near 0 or 1 may round beyond its interval's end.
-            np.maximum([middle - low, high - middle], 0.0),
-            color=colour,
-            marker=marker,
-            linestyle="",
-            capsize=2.5,
-            linewidth=1.0,
-            label=f"{name}, verified ({100.0 * one.verified[0].estimate.confidence:g} % intervals)",
-        )
+        estimates = [level.estimate for level in one.verified]
+        middle, low, high = np.array([(it.probability, it.low, it.high) for it in estimates]).T
+        # An estimate near 0 or 1 may round beyond its interval's end.
+        lengths = np.maximum([middle - low, high - middle], 0.0)
+        label = f"{name}, verified ({100.0 * estimates[0].confidence:g} % intervals)"
+        look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": "", "capsize": 2.5, "linewidth": 1.0}
+        axes.errorbar([level.level for level in one.verified], middle, lengths, label=label, **look)
 
 
 def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
@@ -91,13 +81,6 @@ def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
     return low, high
 
 
-def _show_plain_numbers(axis: Axis) -> None:
-    """Label a logarithmic axis with numbers, without exponents."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outcome: str) -> None:
     assert deaggregation.of_failures is not None
     shares = 100.0 * deaggregation.of_failures.T
@@ -106,15 +89,8 @@ def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outco
     axes.set_title(f"Pulses that cause {plain(words(outcome))} under the hazard")
     axes.grid(visible=False)
     for axis in (axes.xaxis, axes.yaxis):
-        _show_plain_numbers(axis)
-    axes.plot(
-        [deaggregation.period_of_pulses.median],
-        [deaggregation.velocity_of_pulses.median],
-        marker="+",
-        color=VERMILION,
-        markersize=10,
-        linestyle="",
-        label="median pulse of the hazard",
-    )
+        plain_log(axis, _STEPS)
+    median = deaggregation.period_of_pulses.median, deaggregation.velocity_of_pulses.median
+    axes.plot(*median, "+", color=VERMILION, markersize=10, label="median pulse of the hazard")
     axes.legend(loc="lower left")
     figure.colorbar(mesh, ax=axes, label="share of the failures [%]")

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard import Hazard
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD
+from activefail.figures.axes import plain_log
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, styled
 from activefail.risk.hazard_summary import HazardSummary
 from activefail.space import Array, DesignSpace
@@ -23,6 +22,7 @@ _EDGE = 200
 """Points along each side of the design space."""
 
 
+@styled()
 def plot_hazard(summary: HazardSummary, space: DesignSpace | None = None) -> Figure:
     """The joint distribution of T_p and PGV, and the hazard curve if there is one.
 
@@ -30,38 +30,25 @@ def plot_hazard(summary: HazardSummary, space: DesignSpace | None = None) -> Fig
         summary: of the hazard.
         space: of a campaign, whose boundary is drawn.
     """
-    hazard = summary.hazard
-    with styled():
-        number = 2 if summary.curve else 1
-        figure = Figure(figsize=(5.6 * number, 5.2), layout="constrained")
-        panels = figure.subplots(1, number, squeeze=False)[0]
-        axes = panels[0]
-        if hazard.rows is not None:
-            _scatter(axes, hazard)
-        else:
-            _contours(axes, summary)
-        if space is not None:
-            _boundary(axes, space)
-        axes.set(
-            xscale="log",
-            yscale="log",
-            xlabel="pulse period T$_p$ [s]",
-            ylabel="peak ground velocity PGV [m/s]",
-            title="Pulses",
-        )
-        _plain_ticks(axes.xaxis)
-        _plain_ticks(axes.yaxis)
-        # The design space rises to the right, and leaves this corner.
-        axes.legend(loc="lower right")
-        if summary.curve:
-            _curve(panels[1], summary)
+    number = 2 if summary.curve else 1
+    figure = Figure(figsize=(5.6 * number, 5.2), layout="constrained")
+    panels = figure.subplots(1, number, squeeze=False)[0]
+    axes = panels[0]
+    if summary.hazard.rows is not None:
+        _scatter(axes, summary.hazard)
+    else:
+        _contours(axes, summary)
+    if space is not None:
+        _boundary(axes, space)
+    axes.set(xscale="log", yscale="log", xlabel="pulse period T$_p$ [s]", ylabel="peak ground velocity PGV [m/s]")
+    axes.set_title("Pulses")
+    plain_log(axes.xaxis)
+    plain_log(axes.yaxis)
+    # The design space rises to the right, and leaves this corner.
+    axes.legend(loc="lower right")
+    if summary.curve:
+        _curve(panels[1], summary)
     return figure
-
-
-def _plain_ticks(axis: Axis) -> None:
-    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(ScalarFormatter())
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _contours(axes: Axes, summary: HazardSummary) -> None:
@@ -110,20 +97,12 @@ def _boundary(axes: Axes, space: DesignSpace) -> None:
     """The campaign's range of T_p and A_p: A_p is PGV/T_p up to a factor, so two sides are slanted."""
     known = dict(zip(space.names, space.parameters, strict=True))
     period, amplitude = known[PERIOD], known[AMPLITUDE]
-    shortest = max(period.low, 1e-3 * period.high)
-    x = np.geomspace(shortest, period.high, _EDGE)
-    least = max(amplitude.low, 1e-3 * amplitude.high)
-    low, high = velocity_of(np.full(_EDGE, least), x), velocity_of(np.full(_EDGE, amplitude.high), x)
-    axes.plot(
-        np.concatenate([x, x[::-1], x[:1]]),
-        np.concatenate([low, high[::-1], low[:1]]),
-        color=VERMILION,
-        linewidth=1.6,
-        label="the campaign's design space",
-    )
-    axes.fill(
-        np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), facecolor=LIGHT_GREY, alpha=0.3, zorder=0
-    )
+    x = np.geomspace(max(period.low, 1e-3 * period.high), period.high, _EDGE)
+    ends = max(amplitude.low, 1e-3 * amplitude.high), amplitude.high
+    low, high = (velocity_of(np.full(_EDGE, end), x) for end in ends)
+    outline = np.concatenate([x, x[::-1], x[:1]]), np.concatenate([low, high[::-1], low[:1]])
+    axes.plot(*outline, color=VERMILION, linewidth=1.6, label="the campaign's design space")
+    axes.fill(*outline, facecolor=LIGHT_GREY, alpha=0.3, zorder=0)
 
 
 def _curve(axes: Axes, summary: HazardSummary) -> None:
@@ -132,5 +111,5 @@ def _curve(axes: Axes, summary: HazardSummary) -> None:
     axes.axvline(summary.hazard.median_velocity, color=GREY, linestyle=":", label="median PGV of the pulses")
     axes.set(xscale="log", yscale="log", xlabel="peak ground velocity PGV [m/s]", title="Hazard curve")
     axes.set_ylabel("annual rate of exceedance [1/year]")
-    _plain_ticks(axes.xaxis)
+    plain_log(axes.xaxis)
     axes.legend(loc="best")

@@ -1,15 +1,13 @@
 """Colours and markers of outcomes in all figures. Both differ, so that no reader depends on colour alone."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from activefail.figures.style import BLACK, BLUE, GREEN, ORANGE, OUTCOME_COLOURS, PURPLE, SKY_BLUE, VERMILION, letters
+from activefail.figures.style import BLACK, BLUE, GREEN, ORANGE, OUTCOME_COLOURS, PURPLE, SKY_BLUE, VERMILION
 from activefail.findings.quantities import plain, words
 from activefail.space import Array
 
@@ -64,18 +62,3 @@ def outcome_handles(outcomes: Sequence[str], suffix: str = "") -> list[Line2D]:
         )
         for index, name in enumerate(outcomes)
     ]
-
-
-def legend_columns(handles: Sequence[Artist], width: float) -> int:
-    """The most columns of a legend in the figures' size of text whose entries fit into a width [in]."""
-    lengths = [letters(str(handle.get_label())) for handle in handles]
-    for columns in range(len(lengths), 1, -1):
-        # Its parts, as matplotlib distributes entries; an entry is its mark and the letters of its label.
-        if sum(0.55 + 0.07 * max(part) for part in np.array_split(lengths, columns)) <= width:
-            return columns
-    return 1
-
-
-def legend_height(handles: Sequence[Artist], columns: int) -> float:
-    """The height of such a legend [in]."""
-    return 0.15 + 0.19 * math.ceil(len(handles) / columns)

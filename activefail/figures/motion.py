@@ -5,9 +5,8 @@ Importing this module imports matplotlib, but not pyplot, so that any thread can
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from activefail.bearing.dynamics import lever, seen_by_plate
 from activefail.bearing.motion import Motion, describe_design, describe_outcome, instants, minus, seconds
 from activefail.errors import InputError
 from activefail.figures import style
-from activefail.files import writing_to
 from activefail.space import Array
 
 ARC_POINTS = 41
@@ -41,17 +39,7 @@ RIM_WIDTH = 0.12
 # ---------------------------------------------------------------------------------------------------- over time
 
 
-def save_response(response: Response, path: Path) -> None:
-    """Write the figure of `plot_response` in the format of the path's suffix.
-
-    Raises:
-        InputError: if the response holds no motion, or the file cannot be written.
-    """
-    figure = plot_response(response)
-    with writing_to(path):
-        style.save_figure(figure, path)
-
-
+@style.styled()
 def plot_response(response: Response) -> Figure:
     """Displacement, ground acceleration, uplift, tilt and rim force over time, and the hysteresis loop.
 
@@ -62,24 +50,24 @@ def plot_response(response: Response) -> Figure:
     t = motion.fine_times()
     q = motion.position(t)
     gaps, rims = motion.contacts(t)
-    with style.styled():
-        figure = titled_figure(response, width=10.5, height=8.4)
-        (shift, ground), (uplift, tilt), (rim, loop) = figure.subplots(3, 2)
-        _plot_displacement(shift, motion, t, q)
-        _plot_ground(ground, motion, t)
-        _plot_uplift(uplift, motion, t, gaps)
-        _plot_tilt(tilt, motion, t, q)
-        _plot_rim_force(rim, t, rims / (motion.system.plate_mass * GRAVITY))
-        for panel in (shift, ground, uplift, tilt, rim):
-            mark_events(panel, response)
-            panel.set_xlim(motion.start, motion.end + 0.01 * (motion.end - motion.start))
-            panel.set_xlabel(motion.time_label)
-        _zoom_on_failure(response, (uplift, tilt, rim))
-        _legend_above(ground)
-        _plot_loop(loop, motion, t, q)
+    figure = titled_figure(response, width=10.5, height=8.4)
+    (shift, ground), (uplift, tilt), (rim, loop) = figure.subplots(3, 2)
+    _plot_displacement(shift, motion, t, q)
+    _plot_ground(ground, motion, t)
+    _plot_uplift(uplift, motion, t, gaps)
+    _plot_tilt(tilt, motion, t, q)
+    _plot_rim_force(rim, t, rims / (motion.system.plate_mass * GRAVITY))
+    for panel in (shift, ground, uplift, tilt, rim):
+        mark_events(panel, response)
+        panel.set_xlim(motion.start, motion.end + 0.01 * (motion.end - motion.start))
+        panel.set_xlabel(motion.time_label)
+    _zoom_on_failure(response, (uplift, tilt, rim))
+    _legend_above(ground)
+    _plot_loop(loop, motion, t, q)
     return figure
 
 
+@style.styled()
 def plot_histories(response: Response, width: float = 5.2) -> Figure:
     """Displacement, ground acceleration, uplift and tilt from the start of the motion, one above the other.
 
@@ -95,22 +83,21 @@ def plot_histories(response: Response, width: float = 5.2) -> Figure:
     motion = Motion(response)
     t = motion.fine_times()
     q = motion.position(t)
-    with style.styled():
-        figure = Figure(figsize=(width, 6.6), layout="constrained")
-        shift, ground, uplift, tilt = panels = figure.subplots(4, 1, sharex=True)
-        _plot_displacement(shift, motion, t, q)
-        _plot_ground(ground, motion, t)
-        _plot_uplift(uplift, motion, t, motion.contacts(t)[0])
-        _plot_tilt(tilt, motion, t, q)
-        labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
-        for panel, label in zip(panels, labels, strict=True):
-            mark_events(panel, response)
-            # A narrow figure has no room for titles next to the legend.
-            panel.set(title="", ylabel=label)
-        _legend_above(ground)
-        tilt.set_xlim(motion.onset, motion.end + 0.01 * (motion.end - motion.onset))
-        tilt.set_xlabel(motion.time_label)
-        figure.align_ylabels()
+    figure = Figure(figsize=(width, 6.6), layout="constrained")
+    shift, ground, uplift, tilt = panels = figure.subplots(4, 1, sharex=True)
+    _plot_displacement(shift, motion, t, q)
+    _plot_ground(ground, motion, t)
+    _plot_uplift(uplift, motion, t, motion.contacts(t)[0])
+    _plot_tilt(tilt, motion, t, q)
+    labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
+    for panel, label in zip(panels, labels, strict=True):
+        mark_events(panel, response)
+        # A narrow figure has no room for titles next to the legend.
+        panel.set(title="", ylabel=label)
+    _legend_above(ground)
+    tilt.set_xlim(motion.onset, motion.end + 0.01 * (motion.end - motion.onset))
+    tilt.set_xlabel(motion.time_label)
+    figure.align_ylabels()
     return figure
 
 
@@ -129,12 +116,11 @@ def titled_figure(response: Response, width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.58 / height)))
     FigureCanvasAgg(figure)
     colour = {"failure": style.VERMILION, "numerical_failure": style.GREY}.get(response.outcome_name, style.BLACK)
-    lines = (
-        (0.19, describe_outcome(response), min(12.0, 1.3 * width)),
-        (0.44, describe_design(response), min(8.5, width)),
+    lines: tuple[tuple[float, str, float, dict[str, Any]], ...] = (
+        (0.19, describe_outcome(response), min(12.0, 1.3 * width), {"weight": "bold", "color": colour}),
+        (0.44, describe_design(response), min(8.5, width), {}),
     )
-    looks: tuple[dict[str, Any], ...] = ({"weight": "bold", "color": colour}, {})
-    for (down, text, size), look in zip(lines, looks, strict=True):
+    for down, text, size, look in lines:
         title = figure.text(0.5, 1.0 - down / height, text, ha="center", va="center", fontsize=size, **look)
         # A record has a name, which may be long.
         room = 0.98 * figure.bbox.width / title.get_window_extent().width
@@ -149,6 +135,18 @@ def mark_events(axes: Axes, response: Response) -> None:
         axes.axvline(touch, color=style.PURPLE, linestyle=":", linewidth=1.5, label="first rim touch")
     if math.isfinite(failure):
         axes.axvline(failure, color=style.VERMILION, linewidth=1.2, label="failure")
+
+
+def plot_plates(axes: Axes, t: Array, values: Array) -> None:
+    """Plot a curve for each of the two plates, (n, 2)."""
+    for side, line in enumerate(PLATE_LINES):
+        axes.plot(t, values[:, side], **line)
+
+
+def mark_limits(draw: Callable[..., object], value: float, label: str) -> None:
+    """Draw lines at a limit and at its negative."""
+    draw(value, **LIMIT_LINE, label=label)
+    draw(-value, **LIMIT_LINE)
 
 
 def _zoom_on_failure(response: Response, panels: Sequence[Axes]) -> None:
@@ -171,8 +169,7 @@ def _plot_displacement(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
     capacity = motion.response.bearing.displacement_capacity
     axes.plot(t, q[:, 3], color=style.ORANGE, label="top plate $x_t$")
     axes.plot(t, q[:, 0], color=style.BLACK, linewidth=1.0, label="slider $x_s$")
-    axes.axhline(capacity, **LIMIT_LINE, label=r"capacity $\pm D_{tot}$")
-    axes.axhline(-capacity, **LIMIT_LINE)
+    mark_limits(axes.axhline, capacity, r"capacity $\pm D_{tot}$")
     axes.set(title="Displacement", ylabel="Displacement [m]")
     _legend_above(axes)
 
@@ -188,8 +185,7 @@ def _plot_ground(axes: Axes, motion: Motion, t: Array) -> None:
 
 
 def _plot_uplift(axes: Axes, motion: Motion, t: Array, gaps: Array) -> None:
-    for side, line in enumerate(PLATE_LINES):
-        axes.plot(t, 1e3 * gaps[:, side], **line)
+    plot_plates(axes, t, 1e3 * gaps)
     axes.axhline(1e3 * motion.response.bearing.rim_height, **LIMIT_LINE, label="rim height $h_{rim}$")
     axes.axhline(0.0, color=style.BLACK, linewidth=0.6)
     axes.set(title="Uplift", ylabel="Confinement gap [mm]\n(< 0: contact compressed)")
@@ -199,15 +195,13 @@ def _plot_uplift(axes: Axes, motion: Motion, t: Array, gaps: Array) -> None:
 def _plot_tilt(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
     limit = math.degrees(math.atan2(motion.system.half_width, motion.system.half_height))
     axes.plot(t, np.degrees(q[:, 2]), color=style.BLACK)
-    axes.axhline(limit, **LIMIT_LINE, label="overturning limit")
-    axes.axhline(-limit, **LIMIT_LINE)
+    mark_limits(axes.axhline, limit, "overturning limit")
     axes.set(title="Tilt of the slider", ylabel="Tilt, counter-clockwise [°]")
     _legend_above(axes)
 
 
 def _plot_rim_force(axes: Axes, t: Array, ratios: Array) -> None:
-    for side, line in enumerate(PLATE_LINES):
-        axes.plot(t, ratios[:, side], **line)
+    plot_plates(axes, t, ratios)
     axes.set(title="Force on the rim", ylabel="Rim force / $Mg$ [-]")
     axes.set_ylim(0.0, max(1.08 * float(ratios.max()), 0.1))
     if not ratios.any():
@@ -221,8 +215,7 @@ def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
     force = -motion.force_ratio(t)
     axes.plot(q[:, 3], force, color=style.BLUE, linewidth=1.0)
     capacity = response.bearing.displacement_capacity
-    axes.axvline(capacity, **LIMIT_LINE, label=r"capacity $\pm D_{tot}$")
-    axes.axvline(-capacity, **LIMIT_LINE)
+    mark_limits(axes.axvline, capacity, r"capacity $\pm D_{tot}$")
     axes.set(title="Hysteresis loop", xlabel="Displacement of the top plate $x_t$ [m]")
     axes.set_ylabel(r"Force $-M(\ddot{x}_t + \ddot{u}_g)/Mg$ [-]")
     # Impact forces are many times those of sliding; the axis is scaled to the loop.
@@ -410,17 +403,7 @@ class BearingDrawing:
         return np.column_stack((x, z + self._arrow_height))
 
 
-def draw_bearing(axes: Axes, response: Response, time: float) -> BearingDrawing:
-    """Draw the bearing to scale at a time [s]; `move_to` of the result changes the time.
-
-    Raises:
-        InputError: if the response holds no motion.
-    """
-    drawing = BearingDrawing(axes, Motion(response))
-    drawing.move_to(time)
-    return drawing
-
-
+@style.styled()
 def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, float] | None = None) -> Figure:
     """Draw the bearing at a few instants [s], with optional names; by default those of `instants`.
 
@@ -440,19 +423,18 @@ def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, flo
     motion = Motion(response)
     columns = min(len(chosen), 2)
     rows = math.ceil(len(chosen) / columns)
-    with style.styled():
-        low, high = extent(motion)
-        panel_height = 4.8 * (2.0 / columns) * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
-        figure = titled_figure(response, width=10.5, height=1.75 + panel_height * rows)
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for panel, (name, time) in zip(panels.flat, chosen, strict=False):
-            drawing = BearingDrawing(panel, motion)
-            drawing.move_to(time)
-            panel.set_title(f"{name}, {seconds(time)}".removeprefix(", "))
-            panel.label_outer()
-        for panel in panels.flat[len(chosen) :]:
-            panel.set_axis_off()
-        figure_legend(figure, panels[0, 0], motion)
+    low, high = extent(motion)
+    panel_height = 4.8 * (2.0 / columns) * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
+    figure = titled_figure(response, width=10.5, height=1.75 + panel_height * rows)
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for panel, (name, time) in zip(panels.flat, chosen, strict=False):
+        drawing = BearingDrawing(panel, motion)
+        drawing.move_to(time)
+        panel.set_title(f"{name}, {seconds(time)}".removeprefix(", "))
+        panel.label_outer()
+    for panel in panels.flat[len(chosen) :]:
+        panel.set_axis_off()
+    figure_legend(figure, panels[0, 0], motion)
     return figure
 
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
+from activefail.figures.axes import legend_outside, panel
 from activefail.figures.contours import NOWHERE, axis_limits, colour_bar, filled_contours
-from activefail.figures.marks import legend_columns, legend_height, outcome_handles, scatter_outcomes
+from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
-from activefail.figures.style import GREY, fitting_size, letters, margins, styled
+from activefail.figures.style import GREY, fitting_size, letters, styled
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.findings.results import Findings
@@ -139,15 +140,16 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
 
     def plane(x: int, y: int, third: int) -> Plane:
         low, high = space.low[third], space.high[third]
-        values = [float(low + share * (high - low)) for share in (0.2, 0.5, 0.8)]
-        return Plane("plane", x, y, third, (values[0], values[1], values[2]), (0.0, 0.0, 0.0))
+        first, second, last = (float(low + share * (high - low)) for share in (0.2, 0.5, 0.8))
+        return Plane("plane", x, y, third, (first, second, last), (0.0, 0.0, 0.0))
 
-    planes: list[Plane] = []
-    if len(first) == 2:
-        planes = [Plane("plane", first[0], first[1], -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
-    elif len(first) > 2:
-        a, b, c = first
-        planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
+    match first:
+        case [a, b, c]:
+            planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
+        case [a, b]:
+            planes = [Plane("plane", a, b, -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+        case _:
+            planes = []
 
     def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
         return predict(campaign, findings.classifier, rows), np.ones(len(rows), dtype=bool)
@@ -156,6 +158,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     return Coordinates(variables(campaign), findings.X, middle, at, planes, lambda plane, _: float(width[plane.third]))
 
 
+@styled()
 def plot_variable_plane(
     quantities: tuple[Quantity, Quantity],
     along: tuple[Array, Array],
@@ -173,16 +176,15 @@ def plot_variable_plane(
         uncertainty: whether the values are an uncertainty.
     """
     x, y = along
-    with styled():
-        figure = Figure(figsize=(4.0, 3.4), layout="constrained")
-        axes = figure.add_subplot()
-        shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
-        axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-        colour_bar(figure, axes, shades, title, uncertainty)
-        axes.set_title(title if uncertainty else f"{title}; thick line: one half")
+    figure, axes = panel(4.0, 3.4)
+    shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
+    axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    colour_bar(figure, axes, shades, title, uncertainty)
+    axes.set_title(title if uncertainty else f"{title}; thick line: one half")
     return figure
 
 
+@styled()
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
     """Probabilities of all outcomes except the least severe, and the uncertainty, at values of a third feature."""
     campaign = findings.campaign
@@ -195,52 +197,42 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     values = plane.values if plane.third >= 0 else plane.values[:1]
     names = [plain(words(name)) for name in outcomes[1:]]
     titles = [f"P({name})" for name in names] + [f"uncertainty of P({plain(findings.beyond)})"]
-    with styled():
-        handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
-        handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
-        nowhere = Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space")
-        inches = 10.0 if len(values) > 1 else 5.4
-        columns = legend_columns([*handles, nowhere], inches)
-        third_symbol = c.quantities[plane.third].symbol if plane.third >= 0 else ""
-        between = "\n" if letters(third_symbol) > 16 else " "
-        of_titles = 0.1 if not third_symbol else 0.25 if between == " " else 0.42
-        above = legend_height([*handles, nowhere], columns) + of_titles
-        height = 2.8 * len(titles) + 0.3 + above
-        figure = Figure(figsize=(inches, height))
-        around = margins(inches, height, left=1.05, right=0.6, bottom=0.5, top=above)
-        gaps = {"wspace": 0.07, "hspace": 0.08}
-        grid = figure.subplots(
-            len(titles), len(values), squeeze=False, sharex=True, sharey=True, gridspec_kw=around | gaps
-        )
-        size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
-        blank = False
-        for column, third in enumerate(values):
-            rows = np.tile(c.middle, (x.size, 1))
-            rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
-            shown = inside
-            if plane.third >= 0:
-                rows[:, plane.third] = third
-                shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
-            prediction, exists = c.predict(rows)
-            blank = blank or not exists.all()
-            layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
-            for row, layer in enumerate(layers):
-                panel = grid[row, column]
-                last = row == len(layers) - 1
-                Z = np.where(exists, layer, np.nan).reshape(x.shape)
-                shades = filled_contours(panel, x, y, Z, uncertainty=last)
-                scatter_outcomes(panel, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
-                panel.set(xlim=x_limits, ylim=y_limits)
-                if column == 0:
-                    panel.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)
-                if last:
-                    panel.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
-                if row == 0 and plane.third >= 0:
-                    width = c.widths(plane, third)
-                    panel.set_title(f"{third_symbol}{between}= {third:.3g} ± {width:.2g}")
-                if column == len(values) - 1:
-                    colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
-        if blank:
-            handles.append(nowhere)
-        figure.legend(handles=handles, loc="upper center", ncols=legend_columns(handles, inches))
+    handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
+    handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
+    inches = 10.0 if len(values) > 1 else 5.4
+    third_symbol = c.quantities[plane.third].symbol if plane.third >= 0 else ""
+    between = "\n" if letters(third_symbol) > 16 else " "
+    figure = Figure(figsize=(inches, 2.8 * len(titles) + 0.8), layout="constrained")
+    grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
+    size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
+    blank = False
+    for column, third in enumerate(values):
+        rows = np.tile(c.middle, (x.size, 1))
+        rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
+        shown = inside
+        if plane.third >= 0:
+            rows[:, plane.third] = third
+            shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
+        prediction, exists = c.predict(rows)
+        blank = blank or not exists.all()
+        layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
+        for row, layer in enumerate(layers):
+            axes = grid[row, column]
+            last = row == len(layers) - 1
+            Z = np.where(exists, layer, np.nan).reshape(x.shape)
+            shades = filled_contours(axes, x, y, Z, uncertainty=last)
+            scatter_outcomes(axes, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
+            axes.set(xlim=x_limits, ylim=y_limits)
+            if column == 0:
+                axes.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)
+            if last:
+                axes.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
+            if row == 0 and plane.third >= 0:
+                width = c.widths(plane, third)
+                axes.set_title(f"{third_symbol}{between}= {third:.3g} ± {width:.2g}")
+            if column == len(values) - 1:
+                colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
+    if blank:
+        handles.append(Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space"))
+    legend_outside(figure, "outside upper center", handles)
     return figure

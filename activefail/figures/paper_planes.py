@@ -124,39 +124,39 @@ class _Slices:
         panel.set_ylim(-1.15, 1.15)
 
 
+@styled()
 def plot_plane(plane: Plane, process: "PaperProcess") -> Figure:
     """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
     F = process.F
     slices = _Slices(plane, process, axis_limits(F[:, plane.x]), axis_limits(F[:, plane.y]))
-    with styled():
-        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
-        axes = figure.subplots(2, 3)
-        for panel, third in zip(axes[0], plane.values, strict=True):
-            shades = slices.draw_contours(panel, third)
-        for line in plane.lines:
-            axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.4)
-        bar = figure.colorbar(
-            ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=PROBABILITY_LEVELS, pad=0.01, alpha=0.5
-        )
-        bar.set_label("P(failure)")
-        bar.ax.hlines(PROBABILITY_LEVELS, 0.0, 1.0, colors=GREY, linewidths=_WIDTHS)
-        for panel, line in zip(axes[1], plane.lines, strict=True):
-            slices.draw_line(panel, line)
-        figure.legend(
-            handles=[
-                Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
-                Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
-                Line2D([], [], color="black", linestyle=":", label="where the lower panels are"),
-                Line2D([], [], color="black", label="2 P(failure) − 1"),
-                Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
-            ],
-            loc="outside lower center",
-            ncols=5,
-        )
-        fixed = ", ".join(f"{LABELS[i]} = {np.median(F[:, i]):.2f}" for i in _HELD_AT_MEDIAN)
-        figure.suptitle(
-            f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, "
-            f"{LABELS[plane.third]} = {plane.values[1]:g} ± {SLICE * plane.values[1]:.2f}",
-            fontsize=9.5,
-        )
+    figure = Figure(figsize=(10.0, 7.2), layout="constrained")
+    axes = figure.subplots(2, 3)
+    for panel, third in zip(axes[0], plane.values, strict=True):
+        shades = slices.draw_contours(panel, third)
+    for line in plane.lines:
+        axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.4)
+    bar = figure.colorbar(
+        ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=PROBABILITY_LEVELS, pad=0.01, alpha=0.5
+    )
+    bar.set_label("P(failure)")
+    bar.ax.hlines(PROBABILITY_LEVELS, 0.0, 1.0, colors=GREY, linewidths=_WIDTHS)
+    for panel, line in zip(axes[1], plane.lines, strict=True):
+        slices.draw_line(panel, line)
+    figure.legend(
+        handles=[
+            Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
+            Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
+            Line2D([], [], color="black", linestyle=":", label="where the lower panels are"),
+            Line2D([], [], color="black", label="2 P(failure) − 1"),
+            Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
+        ],
+        loc="outside lower center",
+        ncols=5,
+    )
+    fixed = ", ".join(f"{LABELS[i]} = {np.median(F[:, i]):.2f}" for i in _HELD_AT_MEDIAN)
+    figure.suptitle(
+        f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, "
+        f"{LABELS[plane.third]} = {plane.values[1]:g} ± {SLICE * plane.values[1]:.2f}",
+        fontsize=9.5,
+    )
     return figure

@@ -9,6 +9,7 @@ from activefail.figures.style import BLUE, GREEN, GREY, PURPLE, VERMILION, style
 from activefail.space import Array
 
 
+@styled()
 def plot_reliability(
     probabilities: dict[str, Array],
     failed: NDArray[np.bool_],
@@ -25,24 +26,23 @@ def plot_reliability(
         bins: number of bins of equal width.
         labels: of the axes, observed share and predicted probability.
     """
-    with styled():
-        figure = Figure(figsize=(6.4, 7.0), layout="constrained")
-        axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
-        axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
-        for (title, p), colour, marker in zip(
-            probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
-        ):
-            bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
-            counts = np.bincount(bin_index, minlength=bins)
-            shown = counts > 0
-            predicted = np.bincount(bin_index, weights=p, minlength=bins)[shown] / counts[shown]
-            failures = np.bincount(bin_index, weights=failed, minlength=bins)[shown]
-            axes.plot(predicted, failures / counts[shown], color=colour, marker=marker, label=title)
-            low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
-            axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)
-            counts_axes.plot(predicted, counts[shown] / samples, color=colour, marker=marker)
-        axes.set_ylabel(labels[0])
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16 if len(probabilities) > 1 else 1.08), ncols=2)
-        counts_axes.set_yscale("log")
-        counts_axes.set(xlabel=labels[1], ylabel="designs in a bin")
+    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
+    axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
+    for (title, p), colour, marker in zip(
+        probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
+    ):
+        bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
+        counts = np.bincount(bin_index, minlength=bins)
+        shown = counts > 0
+        predicted = np.bincount(bin_index, weights=p, minlength=bins)[shown] / counts[shown]
+        failures = np.bincount(bin_index, weights=failed, minlength=bins)[shown]
+        axes.plot(predicted, failures / counts[shown], color=colour, marker=marker, label=title)
+        low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
+        axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)
+        counts_axes.plot(predicted, counts[shown] / samples, color=colour, marker=marker)
+    axes.set_ylabel(labels[0])
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16 if len(probabilities) > 1 else 1.08), ncols=2)
+    counts_axes.set_yscale("log")
+    counts_axes.set(xlabel=labels[1], ylabel="designs in a bin")
     return figure

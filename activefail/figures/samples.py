@@ -1,17 +1,18 @@
 """A campaign's simulations: counts of outcomes, and designs in pairs of features."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from activefail.figures.marks import legend_columns, legend_height, outcome_colour, outcome_handles, scatter_outcomes
-from activefail.figures.style import BLACK, GREY, fitting_size, letters, margins, styled
+from activefail.figures.axes import legend_outside, panel
+from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
+from activefail.figures.style import BLACK, GREY, fitting_size, letters, styled
 from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array
 
@@ -21,6 +22,7 @@ MOST_SHOWN = 500
 _HATCHES = ("", "//", "xx", "..", "\\\\", "oo", "++")
 
 
+@styled()
 def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -> Figure:
     """Shares of the outcomes in groups of simulations, as bars with their counts.
 
@@ -29,42 +31,27 @@ def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -
         outcomes: names, least severe first.
     """
     shown = {title: numbers for title, numbers in counts.items() if numbers.sum()}
-    with styled():
-        figure = Figure(figsize=(7.6, 1.1 + 0.5 * len(shown)), layout="constrained")
-        axes = figure.add_subplot()
-        for bar, numbers in enumerate(shown.values()):
-            left = 0.0
-            for index in range(len(outcomes)):
-                share = 100.0 * numbers[index] / numbers.sum()
-                axes.barh(
-                    bar,
-                    share,
-                    left=left,
-                    color=outcome_colour(outcomes, index),
-                    edgecolor="white",
-                    hatch=_HATCHES[index % len(_HATCHES)],
-                )
-                if share > 4.0:
-                    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
-                    axes.text(left + share / 2, bar, str(numbers[index]), ha="center", va="center", bbox=box)
-                left += share
-        axes.set_yticks(range(len(shown)), [f"{title} ({counts[title].sum()})" for title in shown])
-        axes.set(xlabel="share of the simulations [%]", xlim=(0, 100))
-        axes.invert_yaxis()
-        axes.grid(axis="y", visible=False)
-        handles = [
-            Patch(
-                facecolor=outcome_colour(outcomes, index),
-                edgecolor="white",
-                hatch=_HATCHES[index % len(_HATCHES)],
-                label=plain(words(name)),
-            )
-            for index, name in enumerate(outcomes)
-        ]
-        figure.legend(handles=handles, loc="outside upper left", ncols=len(outcomes))
+    figure, axes = panel(7.6, 1.1 + 0.5 * len(shown))
+    shares = np.array([100.0 * numbers / numbers.sum() for numbers in shown.values()])
+    left = np.zeros(len(shown))
+    for index, name in enumerate(outcomes):
+        share, hatch = shares[:, index], _HATCHES[index % len(_HATCHES)]
+        look: dict[str, Any] = {"color": outcome_colour(outcomes, index), "edgecolor": "white", "hatch": hatch}
+        axes.barh(range(len(shown)), share, left=left, label=plain(words(name)), **look)
+        for bar in np.flatnonzero(share > 4.0).tolist():
+            count = str(list(shown.values())[bar][index])
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
+            axes.text(float(left[bar] + share[bar] / 2), bar, count, ha="center", va="center", bbox=box)
+        left = left + share
+    axes.set_yticks(range(len(shown)), [f"{title} ({counts[title].sum()})" for title in shown])
+    axes.set(xlabel="share of the simulations [%]", xlim=(0, 100))
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    legend_outside(figure, "outside upper left")
     return figure
 
 
+@styled()
 def plot_pairs(
     F: Array,
     outcome: NDArray[np.int8],
@@ -88,48 +75,35 @@ def plot_pairs(
     m = len(quantities)
     inch = {1: 3.6, 2: 3.0, 3: 2.5}.get(m, 1.6)
     below, above = (_picked(np.flatnonzero(rows)) for rows in (~chosen, chosen))
-    with styled():
-        handles = [
-            *outcome_handles(outcomes),
-            Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
-            Line2D([], [], color=BLACK, label="active (above)"),
-        ]
-        labels, size = _pair_labels([quantity.axis for quantity in quantities], inch)
-        side, below_panels = (0.95, 0.65) if any("\n" in label for label in labels) else (0.8, 0.5)
-        width = max(4.6, inch * m + 1.0)
-        columns = legend_columns(handles, width)
-        above_panels = legend_height(handles, columns) + 0.25
-        height = inch * m + below_panels + above_panels - 0.2
-        figure = Figure(figsize=(width, height))
-        around = margins(width, height, left=side, right=side, bottom=below_panels, top=above_panels)
-        gaps = {
-            "wspace": 0.15 * m / (width - 2.0 * side - 0.15 * (m - 1)),
-            "hspace": 0.3 * m / (height - below_panels - above_panels - 0.3 * (m - 1)),
-        }
-        grid = figure.subplots(m, m, squeeze=False, gridspec_kw=around | gaps)
-        for row in range(m):
-            for column in range(m):
-                axes = grid[row, column]
-                if row == column:
-                    _histogram(axes, F[:, row], chosen, logarithmic[row])
-                else:
-                    shown = above if column > row else below
-                    scatter_outcomes(axes, F[shown, column], F[shown, row], outcome[shown], outcomes, 9.0)
-                    axes.set_yscale("log" if logarithmic[row] else "linear")
-                    axes.set_ylim(*_with_margins(F[:, row], logarithmic[row]))
-                axes.set_xscale("log" if logarithmic[column] else "linear")
-                axes.set_xlim(*_with_margins(F[:, column], logarithmic[column]))
-                _label_pair(axes, row, column, labels, logarithmic)
-                axes.xaxis.label.set_size(size)
-                axes.yaxis.label.set_size(size)
-        figure.legend(handles=handles, loc="upper center", ncols=columns)
+    handles = [
+        *outcome_handles(outcomes),
+        Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
+        Line2D([], [], color=BLACK, label="active (above)"),
+    ]
+    labels = [
+        quantity.axis.replace(" [", "\n[") if letters(quantity.axis) > 12.0 * inch else quantity.axis
+        for quantity in quantities
+    ]
+    size = fitting_size((line for label in labels for line in label.split("\n")), inch)
+    figure = Figure(figsize=(max(4.6, inch * m + 1.0), inch * m + 1.2), layout="constrained")
+    grid = figure.subplots(m, m, squeeze=False)
+    for row in range(m):
+        for column in range(m):
+            axes = grid[row, column]
+            if row == column:
+                _histogram(axes, F[:, row], chosen, logarithmic[row])
+            else:
+                shown = above if column > row else below
+                scatter_outcomes(axes, F[shown, column], F[shown, row], outcome[shown], outcomes, 9.0)
+                axes.set_yscale("log" if logarithmic[row] else "linear")
+                axes.set_ylim(*_with_margins(F[:, row], logarithmic[row]))
+            axes.set_xscale("log" if logarithmic[column] else "linear")
+            axes.set_xlim(*_with_margins(F[:, column], logarithmic[column]))
+            _label_pair(axes, row, column, labels, logarithmic)
+            axes.xaxis.label.set_size(size)
+            axes.yaxis.label.set_size(size)
+    legend_outside(figure, "outside upper center", handles)
     return figure
-
-
-def _pair_labels(labels: Sequence[str], inch: float) -> tuple[list[str], float]:
-    """Axis labels, those longer than a panel broken before the unit, and the size of text [pt] at which all fit."""
-    broken = [label.replace(" [", "\n[") if letters(label) > 12.0 * inch else label for label in labels]
-    return broken, fitting_size((line for label in broken for line in label.split("\n")), inch)
 
 
 def _label_pair(axes: Axes, row: int, column: int, labels: Sequence[str], logarithmic: Sequence[bool]) -> None:

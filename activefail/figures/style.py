@@ -68,14 +68,6 @@ def styled() -> Iterator[None]:
         yield
 
 
-def margins(width: float, height: float, *, left: float, right: float, bottom: float, top: float) -> dict[str, float]:
-    """Margins around the panels of a figure, all in inches, as `Figure.subplots` takes them.
-
-    Fixed margins spare a layout that measures the text of all panels, which takes longer than drawing them.
-    """
-    return {"left": left / width, "right": 1.0 - right / width, "bottom": bottom / height, "top": 1.0 - top / height}
-
-
 def lay_out(figure: "Figure") -> None:
     """Arrange a figure by its layout, and then remove the layout.
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,12 @@ from activefail.comparison.seeds import (
     curves,
     simulations_to_reach,
 )
-from activefail.csv_table import writing
+from activefail.csv_table import Target, writing
 from activefail.figures.curves import plot_sampling_curves
-from activefail.figures.style import save_png_and_svg
-from activefail.files import replacing, writing_to
+from activefail.files import writing_to
 from activefail.record.layout import SCORES
 from activefail.report.environment import markdown_environment
+from activefail.report.folder import write_folder
 
 MEASURES = {
     "accuracy": "accuracy",
@@ -75,37 +76,26 @@ def _measured(by_measure: dict[str, Curves]) -> list[list[str]]:
     ]
 
 
-def _to_reach(fixed: Curves, active: Curves) -> list[list[str]]:
-    """A row for each static design: the simulations with which each campaign reaches its accuracy."""
+def _to_reach(levels: Curves, others: Curves) -> list[list[str]]:
+    """A row for each point of some curves: the simulations with which each other curve reaches its accuracy."""
     rows = []
-    for (features, _), points in fixed.items():
+    for key, points in levels.items():
         for point in points:
             level = float(np.median(point.values))
-            needed = [_needed(campaign, level) for campaign in active.values()]
-            rows.append([features, str(point.simulations), f"{level:.4f}", *needed])
+            needed = [_needed(other, level) for other in others.values()]
+            rows.append([_title(*key), str(point.simulations), f"{level:.4f}", *needed])
     return rows
 
 
-def _to_match(fixed: Curves, active: Curves) -> list[list[str]]:
-    """A row for each campaign: the simulations with which static designs reach its final accuracy."""
-    rows = []
-    for (features, sampling), points in active.items():
-        level = float(np.median(points[-1].values))
-        needed = [_needed(static, level) for static in fixed.values()]
-        rows.append([f"{sampling}, {features}", str(points[-1].simulations), f"{level:.4f}", *needed])
-    return rows
-
-
-def _measures_of_all(scores: list[ArmScore]) -> list[str]:
-    """Names of the measures that all scores have: earlier versions saved fewer."""
-    return [name for name in scores[0].measures if all(name in score.measures for score in scores)]
+def _title(features: str, sampling: str) -> str:
+    return f"{sampling}, {features}"
 
 
 def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     """The page as Markdown."""
     boundary = plan.settings.acquisition.main_boundary
     main = {*MEASURES, f"accuracy_{boundary}"}
-    names = _measures_of_all(scores)
+    names = list(scores[0].measures)
     others = [name for name in names if name.startswith("accuracy_") and name not in main]
     titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
     recalls = [name for name in names if name.startswith("recall_of_")]
@@ -129,10 +119,10 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
             command=_command(plan),
             titles=list(titles.values()),
             measured=_measured(by_measure),
-            campaigns=[f"{sampling}, {features}" for features, sampling in active],
-            hypercubes=[f"static, {features}" for features, _ in fixed],
+            campaigns=[_title(*key) for key in active],
+            hypercubes=[_title(*key) for key in fixed],
             to_reach=_to_reach(fixed, active) if active else [],
-            to_match=_to_match(fixed, active),
+            to_match=_to_reach({key: points[-1:] for key, points in active.items()}, fixed),
         )
     )
 
@@ -140,7 +130,7 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
 def comparison_json(plan: ComparisonPlan, scores: list[ArmScore]) -> dict[str, object]:
     """The comparison as JSON: every score, and the spread of each measure over the seeds (docs/reference/json.md)."""
     spreads: dict[tuple[str, str, int], dict[str, object]] = {}
-    for name in _measures_of_all(scores):
+    for name in scores[0].measures:
         for (features, sampling), points in curves(scores, name).items():
             for point in points:
                 values = point.values[~np.isnan(point.values)]
@@ -216,22 +206,27 @@ def run_comparison(
 
 def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) -> Path:
     """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; returns the page's path."""
-    names = _measures_of_all(scores)
-    with writing(out / SCORES, ["features", "sampling", "seed", "simulations", *names]) as write:
+    boundary = plan.settings.acquisition.main_boundary
+    about = f"Lines: medians over {plan.seeds} seeds; bands: minimum to maximum; {plan.test} fresh designs"
+    labels = {
+        "accuracy": f"accuracy for {boundary} on fresh designs",
+        "log_score": f"mean log probability of the true side of {boundary} [nat]",
+    }
+    figures = {name: plot_sampling_curves(curves(scores, name), label, about) for name, label in labels.items()}
+    files: dict[str, str | Callable[[Path], None]] = {
+        SCORES: partial(_write_scores, scores),
+        "comparison.md": comparison_text(plan, scores),
+    }
+    write_folder(out, files, figures)
+    return out / "comparison.md"
+
+
+def _write_scores(scores: list[ArmScore], target: Target) -> None:
+    names = list(scores[0].measures)
+    with writing(target, ["features", "sampling", "seed", "simulations", *names]) as write:
         write(
             [
                 [row.arm.features, row.arm.sampling, row.arm.seed, row.simulations, *(row.measures[n] for n in names)]
                 for row in scores
             ]
         )
-    boundary = plan.settings.acquisition.main_boundary
-    about = f"Lines: medians over {plan.seeds} seeds; bands: minimum to maximum; {plan.test} fresh designs"
-    for measure, label in (
-        ("accuracy", f"accuracy for {boundary} on fresh designs"),
-        ("log_score", f"mean log probability of the true side of {boundary} [nat]"),
-    ):
-        save_png_and_svg(plot_sampling_curves(curves(scores, measure), label, about), out, measure)
-    page = out / "comparison.md"
-    with replacing(page) as file:
-        file.write(comparison_text(plan, scores))
-    return page

@@ -17,7 +17,6 @@ from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import ErrorEstimate, verified
 from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
 
-_LARGEST_TABLE = 10_000_000
 _BUDGETS = 5
 
 

@@ -8,29 +8,34 @@ from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.probability import ProbabilityFindings, rounded_up
+from activefail.findings.probability import rounded_up
 from activefail.findings.quantities import significant
 from activefail.findings.results import Findings
+from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import boundary_of
 from activefail.report.picture import picture
 from activefail.shares import percent
-from activefail.visible import visible
 
 
 def failure_section(findings: Findings, failure: FailureFindings | None) -> dict[str, Any] | None:
     """The numbers and pictures of the section; None if the campaign says nothing of a probability."""
     if failure is None:
         return None
-    beyond = quantities.plain(findings.beyond)
+    beyond, estimate, asked = quantities.plain(findings.beyond), failure.estimate, failure.asked
     low, high = float(failure.low[-1]), float(failure.high[-1])
-    return {
+    shown: dict[str, Any] = {"estimate": None, "asked": None}
+    if estimate is not None:
+        is_extrapolated = not failure.seen[-1] and not estimate.beyond
+        shown["estimate"] = _texts(estimate, max(estimate.high, failure.bound) if is_extrapolated else None)
+    if asked is not None:
+        shown["asked"] = _texts(asked.estimate, asked.high if asked.is_extrapolated else None)
+        shown["asked"] |= {"question": asked.question, "outside": percent(asked.extrapolated)}
+    return shown | {
         "is_rare": failure.is_rare,
         "is_known": failure.is_known,
         "model": f"{failure.probability[-1]:.3g}",
         "model_interval": None if math.isnan(low) else f"{low:.3g} to {high:.3g}",
-        "estimate": _estimate(failure),
         "asks": bool(findings.campaign.question.digest),
-        "asked": _asked(failure.asked),
         "bound": rounded_up(failure.bound),
         "seen": int(failure.seen[-1]),
         "picture": picture(plot_probability(failure, beyond), "probability", "Probability against simulations"),
@@ -38,45 +43,25 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
     }
 
 
-def _estimate(failure: FailureFindings) -> dict[str, Any] | None:
-    estimate = failure.estimate
-    if estimate is None:
-        return None
-    # Without any simulation beyond the boundary, only the bound without a model rests on simulations.
-    extrapolated = not failure.seen[-1] and not estimate.beyond
-    high = rounded_up(max(estimate.high, failure.bound)) if extrapolated else f"{estimate.high:.3g}"
+def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]:
+    """An estimate as texts.
+
+    Args:
+        estimate: from fresh simulations.
+        bound: upper bound without a model if no simulation ended beyond the boundary: then it alone rests on them.
+    """
+    low, high = (0.0, rounded_up(bound)) if bound is not None else (estimate.low, f"{estimate.high:.3g}")
     return {
         "probability": f"{estimate.probability:.3g}",
-        "interval": f"{0.0 if extrapolated else estimate.low:.3g} to {high}",
-        "extrapolated": extrapolated,
-        "check": None,
-        "confidence": f"{100.0 * estimate.confidence:g} %",
-        "simulations": estimate.simulations,
-        "wrong": estimate.wrong,
-        "surprising": estimate.surprising,
-        "recall": percent(estimate.recall),
-        "recall_low": percent(estimate.recall_low),
-    }
-
-
-def _asked(asked: ProbabilityFindings | None) -> dict[str, Any] | None:
-    if asked is None:
-        return None
-    estimate = asked.estimate
-    high = rounded_up(asked.high) if asked.is_extrapolated else f"{estimate.high:.3g}"
-    return {
-        "question": visible(asked.question),
-        "probability": f"{estimate.probability:.3g}",
-        "interval": f"{0.0 if asked.is_extrapolated else estimate.low:.3g} to {high}",
-        "confidence": f"{100.0 * estimate.confidence:g} %",
-        "simulations": estimate.simulations,
-        "wrong": estimate.wrong,
-        "surprising": estimate.surprising,
-        "extrapolated": asked.is_extrapolated,
+        "interval": f"{low:.3g} to {high}",
+        "extrapolated": bound is not None,
         "check": estimate.check,
+        "confidence": f"{100.0 * estimate.confidence:g} %",
+        "simulations": estimate.simulations,
+        "wrong": estimate.wrong,
+        "surprising": estimate.surprising,
         "recall": percent(estimate.recall),
         "recall_low": percent(estimate.recall_low),
-        "outside": percent(asked.extrapolated),
     }
 
 
@@ -85,21 +70,14 @@ def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | Non
     if point is None:
         return None
     space, names = campaign.space, quantities.variables(campaign)
-    figure = None
-    if space.dimension > 1:
-        rows = findings.answered
-        # The plane's corners lie farther out than the search, where features may not be finite.
-        with suppress(InputError):
-            figure = plot_failure_domain(
-                point,
-                space,
-                boundary_of(findings.classifier, campaign.features, findings.boundary),
-                findings.X[rows],
-                findings.outcome[rows],
-                campaign.simulator.outcomes,
-                names,
-                quantities.plain(findings.beyond),
-            )
+    drawn, plane = None, ""
+    # The plane's corners lie farther out than the search, where features may not be finite.
+    with suppress(InputError):
+        if space.dimension > 1:
+            latent = boundary_of(findings.classifier, campaign.features, findings.boundary)
+            figure = plot_failure_domain(point, latent, findings, names)
+            drawn = picture(figure, "domain", "Failure domain through the design point")
+            plane = " and ".join(names[column].text for column in plane_of(point, space))
     shares = point.importance if space.factor is None else [math.nan] * space.dimension
     return {
         "beta": significant(point.beta),
@@ -109,7 +87,7 @@ def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | Non
             for name, value, share in zip(names, point.X, shares, strict=True)
         ],
         "correlated": space.factor is not None,
-        "plane": " and ".join(names[column].text for column in plane_of(point, space)) if figure else "",
+        "plane": plane,
         "variables": space.dimension,
-        "picture": None if figure is None else picture(figure, "domain", "Failure domain through the design point"),
+        "picture": drawn,
     }

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.figures.design import marks_of_stored, plot_required
+from activefail.figures.fragility import plot_fragility_findings
 from activefail.report.fragility import curves_shown
 from activefail.report.picture import picture
 from activefail.risk.design.calculation import chart_of
@@ -25,8 +26,7 @@ _CONFIDENCE = 0.95
 """Of the intervals at verified levels."""
 
 
-@dataclass(frozen=True)
-class RiskOptions:
+class RiskOptions(NamedTuple):
     """What is asked of the section.
 
     Attributes:
@@ -58,7 +58,7 @@ class RiskFindings:
     fragility: FragilityFindings
     chart: RequiredChart | None
     why_no_chart: str
-    designs: tuple[StoredDesign, ...]
+    designs: Sequence[StoredDesign]
 
     @property
     def options(self) -> str:
@@ -109,46 +109,30 @@ def risk_findings(
     """
     campaign, requirement = estimator.campaign, request.requirement
     curves = fragility(estimator, asked, ladder_of(asked), requirement.outcome, None, _CONFIDENCE, stage)
+    chart, why, designs = None, "", []
     if DEFAULT_FREE not in campaign.space.names:
         why = f"the campaign has no variable {DEFAULT_FREE}, whose required value a chart could show."
-        return RiskFindings(request, campaign.space, curves, None, why, ())
-    chart = chart_of(estimator, design_task(asked, (requirement,)), {}, stage)
-    if chart is None:
+    elif (chart := chart_of(estimator, design_task(asked, (requirement,)), {}, stage)) is None:
         why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
-        return RiskFindings(request, campaign.space, curves, None, why, ())
-    requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
-    designs = stored_designs(estimator, asked.question, DEFAULT_FREE, requirements)
-    return RiskFindings(request, campaign.space, curves, chart, "", tuple(designs))
+    else:
+        requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
+        designs = stored_designs(estimator, asked.question, DEFAULT_FREE, requirements)
+    return RiskFindings(request, campaign.space, curves, chart, why, designs)
 
 
 def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
-    """The numbers and pictures of the section; None without a hazard."""
+    """The findings, texts and pictures of the section; None without a hazard."""
     if findings is None:
         return None
-    chart = findings.chart
-    drawn = None
+    chart, drawn = findings.chart, None
     if chart is not None:
         figure = plot_required(chart, findings.space, marks_of_stored(chart, findings.designs))
         drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
-    unit = next((one.unit for one in findings.space.parameters if one.name == DEFAULT_FREE), "")
     return {
-        "at_site": findings.request.site,
-        "target": findings.request.target or findings.request.requirement.target,
-        "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
-        "outcome": findings.request.requirement.outcome,
-        "curves": curves_shown(findings.fragility),
+        "found": findings,
+        "asked": findings.request,
+        "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility)),
         "required": DEFAULT_FREE,
+        "unit": next((one.unit for one in findings.space.parameters if one.name == DEFAULT_FREE), ""),
         "chart": drawn,
-        "why_no_chart": findings.why_no_chart,
-        "designs": [
-            {
-                "target": f"P({one.requirement.outcome}) ≤ {100.0 * one.requirement.target:g} %",
-                "value": f"{one.bearing[DEFAULT_FREE]:.4g} {unit}".rstrip(),
-                "probability": f"{one.estimate.probability:.3g}",
-                "interval": f"{one.estimate.low:.3g} to {one.estimate.high:.3g}",
-                "confidence": f"{100.0 * one.confidence:g} %",
-                "simulations": one.estimate.simulations,
-            }
-            for one in findings.designs
-        ],
     }

@@ -47,7 +47,7 @@ from activefail.report.picture import picture
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
-from activefail.visible import quoted, visible
+from activefail.visible import quoted
 
 MOST_PAIRED = 6
 """Most features in the pair plot: those with the shortest length scales."""
@@ -68,10 +68,6 @@ def spread(parameter: Parameter) -> str:
         return f"{name}, mean {significant(parameter.mean)}, within the bounds"
     within = "" if parameter.distribution == "beta" else ", within the bounds"
     return f"{name}, {significant(parameter.mean)} ± {significant(parameter.sd)}{within}"
-
-
-def _probability(p: float) -> str:
-    return "< 0.01" if p < 0.005 else "> 0.99" if p > 0.995 else f"{p:.2f}"
 
 
 def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
@@ -183,14 +179,9 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
 
     rows = []
     for column in np.argsort(scales[campaign.severity - 1], kind="stable").tolist():
-        cells = [
-            {
-                "length": significant(float(row[column]), 2),
-                "in_units": in_units(float(row[column]), column, names[column].unit),
-            }
-            for row in scales
-        ]
-        rows.append({"quantity": names[column], "cells": cells, "matters": bool((scales[:, column] <= LONG).any())})
+        lengths, unit = scales[:, column].tolist(), names[column].unit
+        cells = [(length, in_units(length, column, unit)) for length in lengths]
+        rows.append({"quantity": names[column], "cells": cells, "matters": min(lengths) <= LONG})
     return {
         "picture": picture(plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales"),
         "rows": rows,
@@ -205,10 +196,11 @@ def _uncertain(findings: Findings) -> list[dict[str, Any]]:
     rows = np.argsort(-bits, kind="stable")[:LISTED]
     return [
         {
-            "design": [significant(float(value)) for value in findings.pool[row]],
-            "probabilities": [_probability(float(p)) for p in prediction.probabilities[row]],
-            "interval": f"{_probability(prediction.low[row])} to {_probability(prediction.high[row])}",
-            "information": f"{bits[row]:.2f}",
+            "design": findings.pool[row].tolist(),
+            "probabilities": prediction.probabilities[row].tolist(),
+            "low": prediction.low[row],
+            "high": prediction.high[row],
+            "information": bits[row],
         }
         for row in rows.tolist()
     ]
@@ -226,24 +218,18 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         except InputError:
             continue  # it failed at the start: there is no motion to draw
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
-        probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
         alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
         terms = terms_of(simulator, dict(zip(findings.campaign.space.names, findings.X[row].tolist(), strict=True)))
+        entered = "given" if findings.given[row] else f"iteration {findings.iteration[row]}"
         shown.append(
             {
                 "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
                 "why": why,
                 "simulation": int(findings.ids[row]),
-                "entered": (
-                    "initial design"
-                    if findings.initial[row]
-                    else "given"
-                    if findings.given[row]
-                    else f"iteration {findings.iteration[row]}"
-                ),
+                "entered": "initial design" if findings.initial[row] else entered,
                 "result": describe_outcome(response),
                 "terms": "" if terms is None else terms.text,
-                "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
+                "probabilities": dict(zip(simulator.outcomes, prediction.probabilities[0].tolist(), strict=True)),
             }
         )
     return shown
@@ -257,7 +243,7 @@ def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
         is_margin = isinstance(latent, MarginLatent)
         name = campaign.simulator.margins[classifier.choices[number].margin] if is_margin else ""
         kernel = MARGIN_KERNEL if is_margin else campaign.settings.classifier.kernel
-        rows.append((campaign.simulator.outcomes[number + 1], visible(name), kernel))
+        rows.append((campaign.simulator.outcomes[number + 1], name, kernel))
     return rows
 
 
@@ -278,13 +264,7 @@ def _learner(findings: Findings) -> dict[str, Any]:
 
 
 def _judging(evidence: Evidence, folder: str, risk: RiskFindings | None) -> list[str]:
-    """The commands that reproduce the page's evidence and the page.
-
-    Args:
-        evidence: on the page.
-        folder: the run folder, quoted.
-        risk: on the page.
-    """
+    """The commands that reproduce the evidence of the page about a run folder (quoted), and the page."""
     commands = []
     if evidence.curve is not None and evidence.curve.source == "compare":
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in evidence.curve.scores}))
@@ -295,45 +275,16 @@ def _judging(evidence: Evidence, folder: str, risk: RiskFindings | None) -> list
     return [*commands, f"activefail report {folder}{f' {risk.options}' if risk else ''}"]
 
 
-def _next_step(
-    campaign: Campaign, evidence: Evidence, folder: str, left: int, continues: str, risk: RiskFindings | None
-) -> tuple[str, str]:
-    """What a reader of the page does next: a command, and what it does.
-
-    Args:
-        campaign: that the page is about.
-        evidence: on the page.
-        folder: the run folder, quoted.
-        left: planned simulations that are left.
-        continues: the command that continues the campaign.
-        risk: on the page.
-    """
-    if left:
-        return continues, f"continues the campaign: {left} of the planned simulations are left"
-    if not campaign.is_elsewhere:
-        if "error" in evidence.missing:
-            return f"activefail verify {folder}", "estimates with an interval how much the classifier gets wrong"
-        if "curve" in evidence.missing:
-            return f"activefail compare {folder}", "compares the campaign with static designs"
-    if has_pulse(campaign.space) and risk is None:
+def _next_step(campaign: Campaign, evidence: Evidence, folder: str, has_risk: bool) -> tuple[str, str]:
+    """What a reader of the page about a complete campaign in a run folder (quoted) does next: a command, and why."""
+    if not campaign.is_elsewhere and "error" in evidence.missing:
+        return f"activefail verify {folder}", "estimates with an interval how much the classifier gets wrong"
+    if not campaign.is_elsewhere and "curve" in evidence.missing:
+        return f"activefail compare {folder}", "compares the campaign with static designs"
+    if has_pulse(campaign.space) and not has_risk:
         command = f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml"
         return command, "adds the fragility of a design at a site"
     return f"activefail predict {folder} --csv designs.csv --out predictions.csv", "predicts other designs"
-
-
-def _space(campaign: Campaign) -> dict[str, Any]:
-    """The variables and the fixed quantities."""
-    space = campaign.space
-    return {
-        "variables": [
-            {"quantity": names, "low": significant(p.low), "high": significant(p.high), "spread": spread(p)}
-            for names, p in zip(quantities.variables(campaign), space.parameters, strict=True)
-        ],
-        "fixed": [
-            {"quantity": names, "value": significant(value)}
-            for names, value in zip(quantities.fixed(campaign), space.fixed.values(), strict=True)
-        ],
-    }
 
 
 def render(
@@ -367,7 +318,7 @@ def render(
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
     numbers: dict[str, Any] = {
-        "title": visible(settings.description or folder.name),
+        "title": settings.description or folder.name,
         "version": __version__,
         "settings": settings,
         "simulator": simulator_in_words(settings),
@@ -375,7 +326,8 @@ def render(
         "learner": _learner(findings),
         "error": evidence.error,
         "expected": findings.expected,
-        **_space(campaign),
+        "variables": list(zip(quantities.variables(campaign), campaign.space.parameters, strict=True)),
+        "fixed": list(zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)),
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
@@ -402,7 +354,11 @@ def render(
         "left": left,
         "folder": run_folder,
         "continues": continues,
-        "next_step": _next_step(campaign, evidence, run_folder, left, continues, risk),
+        "next_step": (
+            (continues, f"continues the campaign: {left} of the planned simulations are left")
+            if left
+            else _next_step(campaign, evidence, run_folder, risk is not None)
+        ),
         "is_elsewhere": campaign.is_elsewhere,
         "commands": [
             f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {run_folder}{budget}",
@@ -412,7 +368,7 @@ def render(
         ],
         "needs_code": campaign.needs_code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
-        "frozen": visible(text, keep="\n"),
+        "frozen": text,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
         "versions": {
             name: value for name, value in versions.items() if name not in ("processor_features", "bearing_sources")
@@ -420,7 +376,9 @@ def render(
     }
     stage("simulating the gallery")
     numbers["gallery"] = _gallery(findings)
-    return page_environment().get_template("report.html.j2").render(numbers)
+    environment = page_environment()
+    environment.filters["spread"] = spread
+    return environment.get_template("report.html.j2").render(numbers)
 
 
 def write_report(page: str, path: Path) -> None:

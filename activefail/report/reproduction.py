@@ -14,8 +14,7 @@ from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.features import PAPER_FEATURES
 from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
 from activefail.figures.reliability import plot_reliability
-from activefail.figures.style import save_png_and_svg, styled
-from activefail.files import replacing, writing_to
+from activefail.files import writing_to
 from activefail.paper import claims, published
 from activefail.paper import study as paper
 from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
@@ -23,6 +22,7 @@ from activefail.paper.methods import LENGTH_SCALE
 from activefail.paper.published import Table2Row
 from activefail.paper.study import METHODS, Study, Variant
 from activefail.report.environment import markdown_environment
+from activefail.report.folder import write_folder
 from activefail.sample_mean import Estimate, contains
 from activefail.space import Array
 
@@ -59,45 +59,34 @@ def _with_one_sample(values: Array) -> str:
     return f"{_significant(estimate.mean)} ({_significant(estimate.of_one[0])} to {_significant(estimate.of_one[1])})"
 
 
-def _printed_bounds(rows: list[Table2Row]) -> list[int]:
-    """Features whose published range equals the attainable range of Table 1, to rounding."""
-    columns = []
-    for i, (row, (text, _)) in enumerate(zip(rows, published.TABLE_2, strict=True)):
-        theirs = [float(part) for part in text.split(" to ")]
-        if np.allclose(theirs, row.attainable, rtol=1e-3):
-            columns.append(i)
-    return columns
+def _has_printed_bounds(row: Table2Row, published_range: str) -> bool:
+    """Whether the published range equals the attainable range of Table 1, to rounding."""
+    return np.allclose([float(part) for part in published_range.split(" to ")], row.attainable, rtol=1e-3)
 
 
-def _explained(rows: list[Table2Row]) -> list[int]:
-    """Features whose published median lies in the interval of a tilted sample but not of a uniform one."""
-    columns = []
-    for i, (row, (_, theirs)) in enumerate(zip(rows, published.TABLE_2, strict=True)):
-        uniform, tilted = (Estimate.over(values).of_one for values in (row.median, row.tilted))
-        if contains(tilted, theirs, 0.005) and not contains(uniform, theirs, 0.005):
-            columns.append(i)
-    return columns
+def _is_explained(row: Table2Row, published_median: float) -> bool:
+    """Whether the published median lies in the interval of a tilted sample but not of a uniform one."""
+    uniform, tilted = (Estimate.over(values).of_one for values in (row.median, row.tilted))
+    return contains(tilted, published_median, 0.005) and not contains(uniform, published_median, 0.005)
 
 
 def table_2(X: Array) -> list[dict[str, str]]:
     """The rows of the page's Table 2 from the designs of the draws, (draws, 250, 9)."""
-    rows = []
-    for (paper_range, paper_median), row in zip(published.TABLE_2, published.table_2(X), strict=True):
-        rows.append(
-            {
-                "name": row.name,
-                "paper_range": paper_range,
-                "attainable": f"{_significant(row.attainable[0])} to {_significant(row.attainable[1])}",
-                "range": f"{_significant(np.median(row.low))} to {_significant(np.median(row.high))}",
-                "ranges": f"{_significant(row.low.min())}…{_significant(row.low.max())} to "
-                f"{_significant(row.high.min())}…{_significant(row.high.max())}",
-                "paper_median": f"{paper_median:g}",
-                "si": _significant(float(row.median.mean()) / row.factor),
-                "median": _with_one_sample(row.median),
-                "tilted": _with_one_sample(row.tilted),
-            }
-        )
-    return rows
+    return [
+        {
+            "name": row.name,
+            "paper_range": paper_range,
+            "attainable": f"{_significant(row.attainable[0])} to {_significant(row.attainable[1])}",
+            "range": f"{_significant(np.median(row.low))} to {_significant(np.median(row.high))}",
+            "ranges": f"{_significant(row.low.min())}…{_significant(row.low.max())} to "
+            f"{_significant(row.high.min())}…{_significant(row.high.max())}",
+            "paper_median": f"{paper_median:g}",
+            "si": _significant(float(row.median.mean()) / row.factor),
+            "median": _with_one_sample(row.median),
+            "tilted": _with_one_sample(row.tilted),
+        }
+        for (paper_range, paper_median), row in zip(published.TABLE_2, published.table_2(X), strict=True)
+    ]
 
 
 def _p_values(study: Study) -> list[dict[str, str]]:
@@ -112,28 +101,27 @@ def _p_values(study: Study) -> list[dict[str, str]]:
     return rows
 
 
-def _caution(method: str, study: Study) -> str:
-    """The calibration slope of a method's probabilities in words."""
-    low, high = Estimate.over(claims.process(study.draws, method, "calibration_slope")).of_mean
-    return "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else "neither over- nor underconfident"
-
-
 def _processes(study: Study) -> list[dict[str, str]]:
-    draws = study.draws
-    return [
-        {
+    def row(method: str) -> dict[str, str]:
+        held_out, fresh, log_score, error, slope, converged = (
+            claims.process(study.draws, method, name)
+            for name in ("held_out", "fresh", "log_score", "calibration_error", "calibration_slope", "converged")
+        )
+        low, high = Estimate.over(slope).of_mean
+        caution = "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else None
+        return {
             "title": TITLES[method],
-            "held_out": with_mean(claims.process(draws, method, "held_out"), share=True),
-            "fresh": with_mean(claims.process(draws, method, "fresh"), share=True),
-            "gain": with_mean(100 * claims.fresh_gain(draws, method), 1),
-            "log_score": with_mean(claims.process(draws, method, "log_score")),
-            "error": with_mean(claims.process(draws, method, "calibration_error"), share=True),
-            "slope": with_mean(claims.process(draws, method, "calibration_slope"), 2),
-            "caution": _caution(method, study),
-            "unconverged": str(int(np.sum(claims.process(draws, method, "converged") == 0))),
+            "held_out": with_mean(held_out, share=True),
+            "fresh": with_mean(fresh, share=True),
+            "gain": with_mean(100 * claims.fresh_gain(study.draws, method), 1),
+            "log_score": with_mean(log_score),
+            "error": with_mean(error, share=True),
+            "slope": with_mean(slope, 2),
+            "caution": caution or "neither over- nor underconfident",
+            "unconverged": str(int(np.sum(converged == 0))),
         }
-        for method in METHODS
-    ]
+
+    return [row(method) for method in METHODS]
 
 
 def _length_scales(study: Study) -> list[dict[str, Any]]:
@@ -206,8 +194,8 @@ def _table_2_numbers(study: Study) -> dict[str, Any]:
         "paper_mu": published.TABLE_2[2][1],
         "paper_h": published.TABLE_2[3][1],
         "medians_outside": named(claims.medians_outside(study)),
-        "explained": named(_explained(rows)),
-        "printed_bounds": named(_printed_bounds(rows)),
+        "explained": named([i for i, row in enumerate(rows) if _is_explained(row, published.TABLE_2[i][1])]),
+        "printed_bounds": named([i for i, row in enumerate(rows) if _has_printed_bounds(row, published.TABLE_2[i][0])]),
         "d_ratio_factor": _significant(1.0 / rows[0].factor),
         "k_norm_factor": _significant(1.0 / rows[5].factor),
     }
@@ -344,14 +332,8 @@ def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = l
     pooled = {TITLES[method]: claims.process(study.draws, method, "probability").ravel() for method in METHODS}
     figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))
     numbers = _context(study)
-    folder, page = out / "reproduction", out / "reproduction.md"
     with writing_to(out):
-        folder.mkdir(parents=True, exist_ok=True)
-        with styled():
-            for name, figure in figures.items():
-                save_png_and_svg(figure, folder, name)
-        with replacing(folder / "numbers.json") as file:
-            file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
-        with replacing(page) as file:
-            file.write(render(numbers))
-    return page
+        text = json.dumps(numbers, indent=1, ensure_ascii=False) + "\n"
+        write_folder(out / "reproduction", {"numbers.json": text}, figures)
+        write_folder(out, {"reproduction.md": render(numbers)}, {})
+    return out / "reproduction.md"

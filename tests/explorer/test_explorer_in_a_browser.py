@@ -135,7 +135,7 @@ def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(vis
     from selenium.webdriver.common.keys import Keys
 
     x, y = answers.about()["plane"]
-    columns = [answers.variable(x), answers.variable(y)]
+    columns = [answers.space.names.index(name) for name in (x, y)]
     before = visitor.marker(), [visitor.one(f"#t{i}").get_attribute("value") for i in range(9)]
     drawing = visitor.one("#plane svg")
     visitor.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", drawing)

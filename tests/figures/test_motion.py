@@ -62,6 +62,12 @@ def plotted() -> Callable[[Response], Figure]:
     return of
 
 
+def drawn(response: Response, time: float) -> m.BearingDrawing:
+    drawing = m.BearingDrawing(Figure().subplots(), Motion(response))
+    drawing.move_to(time)
+    return drawing
+
+
 def words(figure: Figure) -> str:
     return " ".join(text.get_text() for text in figure.texts)
 
@@ -177,7 +183,7 @@ def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_i
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9, 0.97, 1.0])
 def test_the_drawn_slider_has_its_vertices_where_the_kernels_have_them(failure, share):
     time = failure.t[0] + share * (failure.t[-1] - failure.t[0])
-    drawing = m.draw_bearing(Figure().subplots(), failure, time)
+    drawing = drawn(failure, time)
     motion = Motion(failure)
     q = motion.position(time)
     corners = drawing.slider.get_xy()[[0, m.ARC_POINTS - 1, 2 * m.ARC_POINTS - 1, m.ARC_POINTS]]
@@ -186,7 +192,7 @@ def test_the_drawn_slider_has_its_vertices_where_the_kernels_have_them(failure, 
 
 
 def test_the_last_drawn_state_is_the_failing_one(failure):
-    drawing = m.draw_bearing(Figure().subplots(), failure, failure.t[-1] + 1.0)
+    drawing = drawn(failure, failure.t[-1] + 1.0)
     q = failure.q[-1]
     np.testing.assert_allclose(drawing.slider.get_xy()[:-1].mean(axis=0), q[:2], atol=1e-3)
     assert m.vertex_states(drawing.motion, q) == [m.LIFTED] * 4
@@ -215,8 +221,8 @@ def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
 def test_a_mirrored_pulse_gives_the_mirrored_picture(failure):
     mirrored = simulate_one(FAILING, Pulse(2.5, -0.5 * GRAVITY))
     time = failure.margins.first_touch_time
-    one = m.draw_bearing(Figure().subplots(), failure, time).slider.get_xy()[:-1]
-    other = m.draw_bearing(Figure().subplots(), mirrored, time).slider.get_xy()[:-1]
+    one = drawn(failure, time).slider.get_xy()[:-1]
+    other = drawn(mirrored, time).slider.get_xy()[:-1]
     # Mirrored, each arc is run through the other way.
     arcs = other.reshape(2, m.ARC_POINTS, 2)[:, ::-1].reshape(-1, 2) * (-1.0, 1.0)
     np.testing.assert_allclose(arcs, one, rtol=0.0, atol=1e-4)

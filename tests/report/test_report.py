@@ -42,6 +42,7 @@ SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),
     *("reliability", "scales", "uncertain", "gallery", "reproduce"),
 )
+OUTCOMES = ("no_impact", "impact", "failure")
 SCRIPT = "<script>alert(1)</script> & $\\frac{"
 TINY = """
 description = '''{description}'''
@@ -207,16 +208,17 @@ def test_the_first_box_says_what_to_do_next(html, folder):
 @pytest.mark.usefixtures("without_pictures")
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
+    recall = dict.fromkeys(OUTCOMES, Recall(10, 20))
     written = [
-        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400),
-        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400),
-        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400),
+        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400, recall),
+        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400, recall),
+        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400, recall),
     ]
     with open_campaign(copy, write=True) as (campaign, store):
         remember_scores(store, written, 400)
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
-    assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
+    assert rows[2][:6] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
     assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 simul" in Page(text).text
     assert "adds the curve of static" not in text
 
@@ -487,7 +489,8 @@ def test_powers_in_units_are_raised():
 @pytest.mark.usefixtures("without_pictures")
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
-    written = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
+    row = (0.9, 0.8, 0.95, 0.7, -0.4, 388, dict.fromkeys(OUTCOMES, Recall(10, 20)))
+    written = [Score(name, n, *row) for n in (20, 30) for name in ("active", "static")]
     with open_campaign(copy, write=True) as (campaign, store):
         remember_scores(store, written, 400)
         parsed = Page(made(campaign, copy, store))

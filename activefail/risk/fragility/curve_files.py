@@ -1,18 +1,15 @@
 """The files of fragility curves: tables, and exports to other programs."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from activefail.csv_table import Target, writing
-from activefail.files import replacing, target_of
 from activefail.json_text import json_text
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.exports import OPENQUAKE, PELICUN, openquake_model, pelicun_table, why_no_exports
 from activefail.risk.fragility.findings import FragilityFindings
-
-CURVES, DEAGGREGATION, FINDINGS = "fragility.csv", "deaggregation.csv", "fragility.json"
-"""Names of the tables and of the findings."""
 
 _COMPONENT = "isolation_bearing"
 """The bearing in other programs."""
@@ -47,6 +44,12 @@ def _row(findings: FragilityFindings, level: float, kind: str) -> list[Any]:
     return row
 
 
+def _write_deaggregation(parts: Sequence[tuple[str, Deaggregation]], target: Target) -> None:
+    header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
+    with writing(target, header) as write:
+        write([row for outcome, part in parts for row in _rows_of(outcome, part)])
+
+
 def _rows_of(outcome: str, parts: Deaggregation) -> Iterator[list[Any]]:
     for row in range(len(parts.period) - 1):
         for column in range(len(parts.velocity) - 1):
@@ -55,27 +58,15 @@ def _rows_of(outcome: str, parts: Deaggregation) -> Iterator[list[Any]]:
             yield [outcome, *edges, share, float(parts.of_pulses[row, column])]
 
 
-def write_files(findings: FragilityFindings, folder: Path) -> list[Path]:
-    """Write the findings as JSON, the tables, and the curves for pelicun and OpenQuake; returns the files.
-
-    Raises:
-        InputError, OSError: if a file cannot be written.
-    """
-    texts = {FINDINGS: json_text(findings.as_json()) + "\n"}
-    if not why_no_exports(findings.ladder):
-        curves = {one.outcome: one.curve.probability for one in findings.boundaries}
-        texts[PELICUN] = pelicun_table(findings.ladder, curves, _COMPONENT)
-        texts[OPENQUAKE] = openquake_model(findings.ladder, curves, _COMPONENT)
-    files = [folder / CURVES]
-    write_curves(findings, files[0])
+def files_of(findings: FragilityFindings) -> dict[str, str | Callable[[Path], None]]:
+    """The tables, the findings as JSON, and the curves for pelicun and OpenQuake: texts, or what writes a table."""
+    files: dict[str, str | Callable[[Path], None]] = {"fragility.csv": partial(write_curves, findings)}
     parts = [(one.outcome, one.deaggregation) for one in findings.boundaries if one.deaggregation is not None]
     if parts:
-        files.append(folder / DEAGGREGATION)
-        header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
-        with writing(files[-1], header) as write:
-            write([row for outcome, part in parts for row in _rows_of(outcome, part)])
-    for name, text in texts.items():
-        files.append(folder / name)
-        with replacing(target_of(files[-1])) as file:
-            file.write(text)
+        files["deaggregation.csv"] = partial(_write_deaggregation, parts)
+    files["fragility.json"] = json_text(findings.as_json()) + "\n"
+    if not why_no_exports(findings.ladder):
+        curves = {one.outcome: one.curve.probability for one in findings.boundaries}
+        files[PELICUN] = pelicun_table(findings.ladder, curves, _COMPONENT)
+        files[OPENQUAKE] = openquake_model(findings.ladder, curves, _COMPONENT)
     return files
