@@ -5,9 +5,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from activefail.screen import terminal
 from activefail.shares import lognormal_interval, percent
@@ -16,11 +15,9 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.execution.executor import AsynchronousExecutor
+    from activefail.execution.executor import CountingExecutor, Executor
     from activefail.loop.probability_rule import Looks
     from activefail.loop.progress import Observer, Progress
-    from activefail.simulators.interface import Results, Simulator
-    from activefail.space import Array
 
 
 _log = logging.getLogger("activefail")
@@ -74,30 +71,11 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
         yield begin
 
 
-@dataclass(frozen=True)
-class ShownExecutor:
+def shown_executor(executor: "Executor") -> "CountingExecutor":
     """An executor that shows a progress bar while it simulates designs."""
+    from activefail.execution.executor import CountingExecutor
 
-    executor: "AsynchronousExecutor"
-
-    def run(self, simulator: "Simulator", X: "Array", progress: Callable[[int], None] | None = None) -> "Results":
-        """As `Executor.run`."""
-        with progress_bar("simulating") as begin:
-            show = begin(len(X))
-
-            def advance(done: int) -> None:
-                show(done)
-                if progress is not None:
-                    progress(done)
-
-            return self.executor.run(simulator, X, advance)
-
-    def __enter__(self) -> Self:
-        self.executor.__enter__()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.executor.__exit__(*exception)
+    return CountingExecutor(executor, lambda: progress_bar("simulating"))
 
 
 @contextmanager

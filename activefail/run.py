@@ -22,7 +22,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import values_of
-from activefail.display import ShownExecutor, campaign_display
+from activefail.display import campaign_display, shown_executor
 from activefail.errors import InputError, StoreError
 from activefail.files import path_of, writing_to
 from activefail.findings.summary import Summary
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.csv_table import Source, Target
-    from activefail.execution.executor import AsynchronousExecutor, Executor
+    from activefail.execution.executor import AsynchronousExecutor, CountingExecutor, Executor
     from activefail.features import FeatureMap
     from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
@@ -876,9 +876,9 @@ class Run:
             write_report(page, target)
         return evidence
 
-    def _shown_executor(self) -> ShownExecutor:
+    def _shown_executor(self) -> "CountingExecutor":
         """All cores of this machine, with a progress bar."""
-        return ShownExecutor(self._local_executor())
+        return shown_executor(self._local_executor())
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor

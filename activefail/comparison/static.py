@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,6 @@ from activefail.comparison.measures import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
-from activefail.files import read_regular
 from activefail.loop.history import History
 from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from

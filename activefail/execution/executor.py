@@ -6,12 +6,12 @@ or earlier simulations in that process may be at fault, so it is repeated once i
 """
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Protocol, Self
 
-from activefail.simulators.interface import (
-    Results,
-    Simulator,
-)
+from activefail.progress import Begin
+from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
 
@@ -91,3 +91,35 @@ class AsynchronousExecutor(Executor, Protocol):
             SimulationError, ActivefailError: as `run` does.
         """
         ...
+
+
+@dataclass(frozen=True)
+class CountingExecutor:
+    """An executor that tells how many designs it has simulated.
+
+    Attributes:
+        executor: simulates.
+        counting: entered for the designs of a call; gives what `progress_bar` does.
+    """
+
+    executor: Executor
+    counting: Callable[[], AbstractContextManager[Begin]]
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        """As `Executor.run`."""
+        with self.counting() as begin:
+            count = begin(len(X))
+
+            def advance(done: int) -> None:
+                count(done)
+                if progress is not None:
+                    progress(done)
+
+            return self.executor.run(simulator, X, advance)
+
+    def __enter__(self) -> Self:
+        self.executor.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.executor.__exit__(*exception)

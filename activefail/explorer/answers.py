@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
+from activefail.explorer.questions import number, one_of
 from activefail.figures.curves import plot_fragility
 from activefail.figures.marks import outcome_colour
 from activefail.figures.motion import (
@@ -46,7 +47,31 @@ _GRID, _CURVE, _FRAMES = 36, 81, 240
 _AT_ONCE = 128
 """Designs predicted in one go, which limits how long another request waits."""
 
+UNCERTAINTY = "uncertainty"
+"""What a plane shows in place of an outcome's probability."""
+
 Answer = dict[str, Any]
+
+
+class Slider(NamedTuple):
+    """A number that a visitor chooses.
+
+    Attributes:
+        name: in requests.
+        text: plain text with `_` before a subscript.
+        unit: empty for a dimensionless number.
+        meaning: a few words.
+        low, high: its range.
+        start: where it stands at first.
+    """
+
+    name: str
+    text: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    start: float
 
 
 def _listed(values: Array, digits: int) -> list[Any]:
@@ -56,26 +81,15 @@ def _listed(values: Array, digits: int) -> list[Any]:
     return listed
 
 
-def checked_number(name: str, value: Any, low: float, high: float) -> float:
-    """A number in a request.
-
-    Raises:
-        InputError: naming the quantity, the rule and the value.
-    """
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    # Compare before converting: this rejects NaN, and an integer may be too large for a float.
-    if not (is_number and low <= value <= high):
-        raise InputError(f"{name}: must lie between {low:g} and {high:g}, got {value!r}.")
-    return float(value)
-
-
 class Answers:
     """Answers about one campaign; thread-safe.
 
     Attributes:
         findings: of the campaign.
         campaign, space, outcomes: of the findings.
+        shown: what a plane can show.
         quantities: the variables, as shown to a reader.
+        sliders: of the variables, in the middle of the space.
         drawing: held while a figure is drawn.
     """
 
@@ -84,10 +98,15 @@ class Answers:
         self.campaign = findings.campaign
         self.space = findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
+        self.shown = (*self.outcomes[1:], UNCERTAINTY)
         self.quantities = quantities.variables(findings.campaign)
         # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
         self.next_turn, self._learning, self.drawing = threading.Lock(), threading.Lock(), threading.Lock()
         middle = middle_of(self.space)
+        self.sliders = tuple(
+            Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start)
+            for p, of, start in zip(self.space.parameters, self.quantities, middle, strict=True)
+        )
         # Compile and load everything before the first request.
         self.predict(middle)
         if self.simulates:
@@ -98,28 +117,23 @@ class Answers:
         """Whether the simulator's motion can be shown."""
         return isinstance(self.campaign.simulator, DfpSimulator)
 
-    def point(self, values: Any) -> list[float]:
-        """Check a design in a request.
+    def point(self, name: str, values: Any) -> list[float]:
+        """Read a design in a question.
 
         Raises:
             InputError: naming the variable, the rule and the value.
         """
         if not isinstance(values, list) or len(values) != self.space.dimension:
-            raise InputError(f"point: must be a list of {self.space.dimension} numbers, got {values!r}.")
-        return [
-            checked_number(parameter.name, value, parameter.low, parameter.high)
-            for parameter, value in zip(self.space.parameters, values, strict=True)
-        ]
+            raise InputError(f"{name}: must be a list of {self.space.dimension} numbers, got {values!r}.")
+        return [number(one.low, one.high)(one.name, x) for one, x in zip(self.space.parameters, values, strict=True)]
 
-    def variable(self, name: Any) -> int:
-        """The column of a variable in a request.
+    def variable(self, name: str, value: Any) -> int:
+        """Read the name of a variable in a question; its column.
 
         Raises:
             InputError: if it is not a variable of the space.
         """
-        if not isinstance(name, str) or name not in self.space.names:
-            raise InputError(f"variable: must be one of {', '.join(self.space.names)}, got {name!r}.")
-        return self.space.names.index(name)
+        return self.space.names.index(one_of(*self.space.names)(name, value))
 
     def about(self) -> Answer:
         """The data that the page contains from the start."""
@@ -137,17 +151,7 @@ class Answers:
         return {
             "title": visible(settings.description or findings.folder.name),
             "simulations": len(findings.X),
-            "variables": [
-                {
-                    "name": parameter.name,
-                    "text": quantity.text,
-                    "unit": quantity.unit,
-                    "meaning": quantity.meaning,
-                    "low": parameter.low,
-                    "high": parameter.high,
-                }
-                for parameter, quantity in zip(self.space.parameters, self.quantities, strict=True)
-            ],
+            "variables": [slider._asdict() for slider in self.sliders],
             "outcomes": [
                 {"name": name, "text": words(name), "colour": outcome_colour(self.outcomes, index)}
                 for index, name in enumerate(self.outcomes)
@@ -174,44 +178,38 @@ class Answers:
         finally:
             self._learning.release()
 
-    def in_turns(self, standardised: Standardised) -> Standardised:
-        """A latent as a function of designs in parts, between which other threads get their turn."""
+    def in_turns(self, of_designs: Standardised) -> Standardised:
+        """A function of designs, (n, d), in parts, between which other threads get their turn."""
 
         def of_parts(X: Array) -> Array:
             parts = []
             for part in np.array_split(X, max(1, math.ceil(len(X) / _AT_ONCE))):
                 with self.turn():
-                    parts.append(standardised(part))
+                    parts.append(of_designs(part))
             return np.concatenate(parts)
 
         return of_parts
 
-    def _predict(self, rows: Array) -> Prediction:
-        """Predict many designs, (n, d), in parts, between which other threads get their turn."""
-        parts = []
-        for part in np.array_split(rows, math.ceil(len(rows) / _AT_ONCE)):
-            with self.turn():
-                parts.append(astuple(predict(self.campaign, self.findings.classifier, part)))
-        return Prediction(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    def _predict(self, X: Array) -> Prediction:
+        """Predict many designs, (n, d), in turns."""
+        k = len(self.outcomes)
+        columns = self.in_turns(
+            lambda part: np.column_stack(astuple(predict(self.campaign, self.findings.classifier, part)))
+        )(X)
+        return Prediction(columns[:, :k], *columns[:, k:].T)
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
         classifier = self.findings.classifier
         with self.turn():
             predicted = classifier.predicted(np.array([point]))
-        probabilities = predicted.probabilities[0]
         boundaries = []
         for severity, name in enumerate(self.outcomes[1:], start=1):
             low, high = (float(end[0]) for end in interval(predicted, severity))
-            boundaries.append(
-                {
-                    "text": or_worse(name, self.outcomes),
-                    "probability": float(predicted.beyond(severity)[0]),
-                    "low": low,
-                    "high": high,
-                }
-            )
-        return {"probabilities": probabilities.tolist(), "boundaries": boundaries}
+            probability = float(predicted.beyond(severity)[0])
+            text = or_worse(name, self.outcomes)
+            boundaries.append({"text": text, "probability": probability, "low": low, "high": high})
+        return {"probabilities": predicted.probabilities[0].tolist(), "boundaries": boundaries}
 
     def plane(self, point: Sequence[float], x: int, y: int, shown: str) -> Answer:
         """A figure of the plane of two variables through a point, with the position of its axes.
@@ -219,26 +217,24 @@ class Answers:
         Args:
             point: a design.
             x, y: columns of the variables.
-            shown: an outcome other than the least severe, or "uncertainty".
+            shown: one of `shown`.
 
         Raises:
-            InputError: if both variables are the same, or `shown` is invalid.
+            InputError: if both variables are the same.
         """
         if x == y:
             raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
-        if shown not in (*self.outcomes[1:], "uncertainty"):
-            raise InputError(f"shown: must be one of {', '.join(self.outcomes[1:])}, uncertainty, got {shown!r}.")
         low, high = self.space.low, self.space.high
         along_x, along_y = np.linspace(low[x], high[x], _GRID), np.linspace(low[y], high[y], _GRID)
         grid_x, grid_y = np.meshgrid(along_x, along_y)
         rows = np.tile(np.array(point), (grid_x.size, 1))
         rows[:, x], rows[:, y] = grid_x.ravel(), grid_y.ravel()
         prediction = self._predict(rows)
-        uncertain = shown == "uncertainty"
-        values = (
-            prediction.high - prediction.low if uncertain else prediction.probabilities[:, self.outcomes.index(shown)]
-        )
-        title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self.findings.beyond)})"
+        uncertain = shown == UNCERTAINTY
+        if uncertain:
+            values, title = prediction.high - prediction.low, f"uncertainty of P({plain(self.findings.beyond)})"
+        else:
+            values, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
         with self.drawing:
             axes_of = self.quantities[x], self.quantities[y]
             figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)

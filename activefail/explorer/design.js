@@ -60,7 +60,7 @@ function begin() {
 
   const answerAtOnce = latest(async () => {
     const asked = version;
-    const answer = await ask("design", request());
+    const answer = await ask("design", { ...request(), refined: false });
     if (asked === version) showAnswer(answer);
   });
 

@@ -1,10 +1,11 @@
 """Answers of the page Design: the displacement capacity that a target requires, under the classifier and verified."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +13,16 @@ from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard, hazard_of, ha
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question, check_pulse
 from activefail.errors import InputError
+from activefail.execution.executor import CountingExecutor
 from activefail.execution.local import local_executor
-from activefail.explorer.answers import Answer, Answers, checked_number, middle_of
-from activefail.explorer.verification import STEPS, Watch, WatchedExecutor
+from activefail.explorer.answers import Answer, Answers, Slider
+from activefail.explorer.questions import Reader, number, read
+from activefail.explorer.verification import STEPS, Verification
 from activefail.figures.curves import plot_required_value
 from activefail.figures.marks import outcome_colour
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
+from activefail.progress import Begin
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import Boundaries, Standardised, boundary_of
 from activefail.risk.classifier_probability import classifier_probability
@@ -46,28 +50,14 @@ _BY_COMMAND = "activefail design --question FILE --free NAME finds a design for 
 _TOWARDS_SAFETY = 0.05
 """Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""
 
-_LEAST_TARGET, _LARGEST_TARGET = 0.001, 0.9
+_TARGETS = 0.001, 0.9
+"""The least and the largest target."""
 
-
-class Slider(NamedTuple):
-    """A number that a visitor chooses.
-
-    Attributes:
-        name: in requests.
-        text: plain text with `_` before a subscript.
-        unit: empty for a dimensionless number.
-        meaning: a few words.
-        low, high: its range.
-        start: where it stands at first.
-    """
-
-    name: str
-    text: str
-    unit: str
-    meaning: str
-    low: float
-    high: float
-    start: float
+_NOTES = (
+    "These numbers are the classifier's and have no interval; a verification by fresh simulations has one.",
+    "T_p is the period of the acceleration pulse. Published periods of the velocity pulse are divided by 1.2247 to "
+    "give T_p.",
+)
 
 
 MAGNITUDE = Slider("magnitude", "M", "", "magnitude, by the relation shahi-baker-2011", 5.5, 8.0, 7.0)
@@ -81,27 +71,16 @@ _SPREADS = (
 _FRICTION_BOUND = Slider("mu_lower", "factor on μ", "", "lower bound of the friction", 0.5, 1.0, 0.8)
 
 
-@dataclass(frozen=True)
-class Asked:
-    """A checked request.
-
-    Attributes:
-        site: numbers of the hazard, by name.
-        bearing: values of the other variables, by name.
-        target: largest acceptable probability.
-    """
-
-    site: tuple[tuple[str, float], ...]
-    bearing: tuple[tuple[str, float], ...]
-    target: float
+Numbers = tuple[tuple[str, float], ...]
+"""Numbers by name: hashable, so that answers to the same ones are kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class _InTurns(Estimator):
-    """An estimator whose predictions leave other visitors their turns, and end when its watch says so."""
+    """An estimator whose predictions leave other visitors their turns, and end when the verification must stop."""
 
     answers: Answers
-    watch: Watch
+    verification: Verification
 
     def standardised(self, outcome: str) -> Standardised:
         """An outcome's boundary as a function of designs."""
@@ -114,7 +93,7 @@ class _InTurns(Estimator):
 
     def _watched(self, of_designs: Boundaries) -> Boundaries:
         def watched(X: Array) -> Array:
-            self.watch.predicted(len(X))
+            self.verification.predicted(len(X))
             return of_designs(X)
 
         return self.answers.in_turns(watched)
@@ -150,11 +129,6 @@ class DesignAnswers:
         return ""
 
     @property
-    def verifies(self) -> bool:
-        """Whether the explorer simulates: it runs activefail's own bearing model only, no code of a run folder."""
-        return self._answers.simulates
-
-    @property
     def _quantity(self) -> Quantity:
         return self._answers.quantities[self.space.names.index(CAPACITY)]
 
@@ -166,13 +140,8 @@ class DesignAnswers:
     @property
     def _bearing(self) -> tuple[Slider, ...]:
         """The sliders of the other variables, from the middle of the space."""
-        return tuple(
-            Slider(p.name, shown.text, shown.unit, shown.meaning, p.low, p.high, value)
-            for p, shown, value in zip(
-                self.space.parameters, self._answers.quantities, middle_of(self.space), strict=True
-            )
-            if p.name not in (PERIOD, AMPLITUDE, CAPACITY)
-        )
+        chosen = (PERIOD, AMPLITUDE, CAPACITY)
+        return tuple(slider for slider in self._answers.sliders if slider.name not in chosen)
 
     def about(self) -> Answer:
         """The data that the page contains from the start."""
@@ -187,140 +156,113 @@ class DesignAnswers:
             "targets": [
                 {"text": f"{100.0 * p:g} % (risk category {name})", "value": p} for name, p in RISK_CATEGORIES.items()
             ],
-            "low": _LEAST_TARGET,
-            "high": _LARGEST_TARGET,
+            "low": _TARGETS[0],
+            "high": _TARGETS[1],
             "required": self._quantity.text,
             "unit": self._quantity.unit,
             "beyond": self._answers.findings.beyond,
-            "unverified": self.no_verification(),
+            "unverified": self.unverified,
             "most": SIMULATIONS,
             "steps": STEPS,
         }
 
-    def asked(self, request: dict[str, Any], optional: tuple[str, ...] = ()) -> Asked:
-        """Check a request.
+    @property
+    def readers(self) -> dict[str, Reader]:
+        """Of the values of a question: numbers of the site, values of the bearing's other variables, and the target."""
+        return {"site": self._site, "bearing": _numbers(self._bearing), "target": number(*_TARGETS)}
 
-        Args:
-            request: its values.
-            optional: further keys that it may have.
-
-        Raises:
-            InputError: naming the key, the rule and the value.
-        """
+    def _site(self, name: str, values: Any) -> Numbers:
         if self.missing:
             raise InputError(self.missing)
-        _check_keys("request", request, ("site", "bearing", "target"), optional)
-        site, bearing = request["site"], request["bearing"]
-        for name, values in (("site", site), ("bearing", bearing)):
-            if not isinstance(values, dict):
-                raise InputError(f"{name}: must be a JSON object.")
-        periods = [slider for slider in _PERIODS if slider.name in site]
-        if len(periods) != 1:
-            raise InputError(f"site: must have either {MAGNITUDE.name} or {MEDIAN_PERIOD.name}.")
-        return Asked(
-            _checked("site", site, (periods[0], *self._others)),
-            _checked("bearing", bearing, self._bearing),
-            checked_number("target", request["target"], _LEAST_TARGET, _LARGEST_TARGET),
-        )
+        period = next((one for one in _PERIODS if isinstance(values, dict) and one.name in values), MAGNITUDE)
+        return _numbers((period, *self._others))(name, values)  # type: ignore[no-any-return]
 
-    def required(self, request: Asked, refined: bool = False) -> Answer:
+    def required(self, site: Numbers, bearing: Numbers, target: float, refined: bool = False) -> Answer:
         """The displacement capacity that a target requires under the classifier, and the curve that it is read off.
 
         Args:
-            request: the request.
+            site: numbers of the hazard.
+            bearing: values of the other variables.
+            target: largest acceptable probability.
             refined: whether to take more time for a more accurate answer.
         """
         points = _REFINED if refined else _AT_ONCE
+
+        def probability(at: float) -> float:
+            return self._probability(site, bearing, at, points)
+
         low, high = self._range
         grid = np.linspace(low, high, _ALONG)
-        P = np.array([self._probability(request.site, request.bearing, x, points) for x in grid.tolist()])
-        value = least_value(grid, P, request.target)
+        P = np.array([probability(x) for x in grid.tolist()])
+        value = least_value(grid, P, target)
         is_met = bool(np.isfinite(value))
         if is_met and low < value < high:
             k = int(np.searchsorted(grid, value))
-            value = self._met_between(request, points, value, (float(grid[k]), float(P[k])))
+            value = _met_between(probability, target, value, (float(grid[k]), float(P[k])))
         # A smaller one may meet the target where a larger one does not: failure is not monotone.
-        at = value if is_met else high if P.min() <= request.target else float(grid[int(np.argmin(P))])
-        probability = self._probability(request.site, request.bearing, at, points)
-        hazard, outside = _hazard(request.site), self._outside(request.site, request.bearing)
+        at = value if is_met else high if P.min() <= target else float(grid[int(np.argmin(P))])
+        hazard, terms = _hazard(site), terms_of(self.campaign.simulator, {**dict(bearing), CAPACITY: at})
         return {
             "required": value if is_met else None,
-            "probability": probability,
-            "at": at,
-            "text": self._sentence(is_met, at, probability, request.target),
+            "probability": probability(at),
+            "text": self._sentence(is_met, at, probability(at), target),
             "grid": grid.tolist(),
             "curve": P.tolist(),
             "points": points,
             "refined": refined,
             "median_period": hazard.median_period,
-            "outside": outside,
-            "outside_text": percent(outside),
-            "notes": [*self._terms(request, at), *self._notes(hazard)],
-            "svg": self._drawn(grid, P, request.target, value),
+            "outside_text": percent(self._outside(site, bearing)),
+            "notes": [
+                *([] if terms is None else [f"{CAPACITY} = {self._with_unit(significant(at))}: {terms.text}."]),
+                *_NOTES,
+                *hazard.assumptions,
+            ],
+            "svg": self._drawn(grid, P, target, value),
         }
 
-    def _met_between(self, request: Asked, points: int, value: float, safe: tuple[float, float]) -> float:
-        """An interpolated value, or one beyond it where its probability exceeds the target.
-
-        Args:
-            request: what is asked.
-            points: of an integral.
-            value: the interpolated one.
-            safe: a value beyond it that meets the target, and its probability.
-        """
-        for _ in range(_TRIALS):
-            probability = self._probability(request.site, request.bearing, value, points)
-            if probability <= request.target:
-                return value
-            value = least_value(np.array([value, safe[0]]), np.array([probability, safe[1]]), request.target)
-            value += _TOWARDS_SAFETY * (safe[0] - value)
-        return safe[0]
-
-    def verified(self, request: Asked, watch: Watch) -> Answer:
+    def verified(self, verification: Verification, site: Numbers, bearing: Numbers, target: float) -> Answer:
         """Search the design and verify it, as `activefail design` does; nothing is stored.
 
         Args:
-            request: the request.
-            watch: told of the progress; ends the work when it must stop.
+            verification: told of the progress; ends the work when it must stop.
+            site, bearing, target: as for `required`.
 
         Raises:
             StoppedError: if it must stop.
             SimulationError: if no simulation gives an outcome.
         """
         campaign, findings = self.campaign, self._answers.findings
-        question, hazard = self._question(request.site, request.bearing), _hazard(request.site)
-        task = design_task(
-            Inquiry(campaign, question, hazard), (Requirement(self._boundary, request.target),), (CAPACITY,)
-        )
+        asked = Inquiry(campaign, self._question(site, bearing), _hazard(site))
+        task = design_task(asked, (Requirement(self._boundary, target),), (CAPACITY,))
         last = int(findings.iteration[-1])
-        with WatchedExecutor(local_executor(campaign.simulator), watch) as executor:
+
+        def counting() -> nullcontext[Begin]:
+            return nullcontext(lambda _: verification.simulated)
+
+        with CountingExecutor(local_executor(campaign.simulator), counting) as executor:
             estimator = _InTurns(
-                campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
+                campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, verification
             )
-            designed = find_design(estimator, task, watch.stage, with_costs=False)
+            designed = find_design(estimator, task, verification.stage, with_costs=False)
         of_design = DesignFindings(designed, designed.question.outside(self.space))
-        numbers = of_design.as_json()
-        kept = (
-            "status",
-            "target",
-            "probability",
-            "low",
-            "high",
-            "confidence",
-            "simulations",
-            "confidence_of_each_bound",
-        )
-        value = designed.values[CAPACITY]
-        return {key: numbers[key] for key in kept} | {
+        numbers, value = of_design.as_json(), designed.values[CAPACITY]
+        return {
+            "status": designed.status,
             "verdict": of_design.verdict,
             "value": value,
-            "text": self._estimated(value, numbers),
+            "text": (
+                f"{self._quantity.text} = {self._with_unit(significant(value))}: P({findings.beyond}) = "
+                f"{percent(numbers['probability'])}, between {percent(numbers['low'])} and {percent(numbers['high'])} "
+                f"({100.0 * numbers['confidence_of_each_bound']:.3g} % confidence each), from "
+                f"{numbers['simulations']} fresh simulations."
+            ),
             "assumptions": of_design.assumptions,
         }
 
-    def no_verification(self) -> str:
-        """Why the explorer verifies nothing; empty if it does."""
-        if self.verifies:
+    @property
+    def unverified(self) -> str:
+        """Why the explorer verifies nothing; empty if it does. It runs activefail's own bearing model only."""
+        if self._answers.simulates:
             return ""
         return (
             "The explorer simulates only activefail's own bearing model, so it cannot verify this design. "
@@ -332,56 +274,31 @@ class DesignAnswers:
         column = self.space.names.index(CAPACITY)
         return float(self.space.low[column]), float(self.space.high[column])
 
-    def _question_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> Question:
+    def _question_of(self, site: Numbers, bearing: Numbers) -> Question:
         return hazard_question(_hazard(site), self.space, dict(bearing))
 
-    def _outside_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> float:
+    def _outside_of(self, site: Numbers, bearing: Numbers) -> float:
         # D_tot stays within its range.
         return self._question(site, bearing).at({CAPACITY: self._range[1]}).share_outside(self.space)
 
-    def _probability_of(
-        self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...], at: float, points: int
-    ) -> float:
+    def _probability_of(self, site: Numbers, bearing: Numbers, at: float, points: int) -> float:
         return classifier_probability(self._standardised, self._question(site, bearing).at({CAPACITY: at}), points)
 
     def _sentence(self, is_met: bool, at: float, probability: float, target: float) -> str:
         event = f"P({self._answers.findings.beyond})"
-        here = f"{self._quantity.text} = {self._with_unit(at)}"
+        here = f"{self._quantity.text} = {self._with_unit(significant(at))}"
         if not is_met:
             low, high = (significant(end) for end in self._range)
             return (
-                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} is large enough that it and every "
+                f"No {self._quantity.text} from {low} to {self._with_unit(high)} is large enough that it and every "
                 f"larger one meet the target. {event} = {percent(probability)} at {here}."
             )
         if at == self._range[0]:
             return f"{here}, the lower end of the range, meets the target: {event} = {percent(probability)} there."
         return f"The target {100.0 * target:g} % requires {here}. {event} = {percent(probability)} there."
 
-    def _estimated(self, value: float, numbers: Mapping[str, Any]) -> str:
-        return (
-            f"{self._quantity.text} = {self._with_unit(value)}: P({self._answers.findings.beyond}) = "
-            f"{percent(numbers['probability'])}, between {percent(numbers['low'])} and {percent(numbers['high'])} "
-            f"({100.0 * numbers['confidence_of_each_bound']:.3g} % confidence each), from "
-            f"{numbers['simulations']} fresh simulations."
-        )
-
-    def _with_unit(self, value: float) -> str:
-        return self._quantity_text(significant(value))
-
-    def _quantity_text(self, number: str) -> str:
+    def _with_unit(self, number: str) -> str:
         return f"{number} {self._quantity.unit}".strip()
-
-    def _terms(self, request: Asked, at: float) -> list[str]:
-        terms = terms_of(self.campaign.simulator, {**dict(request.bearing), CAPACITY: at})
-        return [] if terms is None else [f"{CAPACITY} = {self._with_unit(at)}: {terms.text}."]
-
-    def _notes(self, hazard: Hazard) -> list[str]:
-        return [
-            "These numbers are the classifier's and have no interval; a verification by fresh simulations has one.",
-            "T_p is the period of the acceleration pulse. Published periods of the velocity pulse are divided by "
-            "1.2247 to give T_p.",
-            *hazard.assumptions,
-        ]
 
     def _drawn(self, grid: Array, P: Array, target: float, value: float) -> str:
         answers = self._answers
@@ -399,43 +316,44 @@ class DesignAnswers:
             return str(inline(figure, "required", alternative))
 
 
-def _hazard(site: tuple[tuple[str, float], ...]) -> Hazard:
+def _met_between(
+    probability: Callable[[float], float], target: float, value: float, safe: tuple[float, float]
+) -> float:
+    """An interpolated value, or one beyond it where its probability exceeds the target.
+
+    Args:
+        probability: of a value.
+        target: largest acceptable probability.
+        value: the interpolated one.
+        safe: a value beyond it that meets the target, and its probability.
+    """
+    for _ in range(_TRIALS):
+        found = probability(value)
+        if found <= target:
+            return value
+        value = least_value(np.array([value, safe[0]]), np.array([found, safe[1]]), target)
+        value += _TOWARDS_SAFETY * (safe[0] - value)
+    return safe[0]
+
+
+def _hazard(site: Numbers) -> Hazard:
     """The hazard with these numbers."""
     of = dict(site)
     values: dict[str, Any] = {
         "description": "the site of the page",
         "pgv": {"median_m_s": of["median_pgv"], "dispersion": of["pgv_dispersion"]},
     }
+    dispersion = {"dispersion": of["period_dispersion"]}
     if MAGNITUDE.name in of:
-        values["magnitude"] = {"M": of[MAGNITUDE.name], "dispersion": of["period_dispersion"]}
+        values["magnitude"] = {"M": of[MAGNITUDE.name]} | dispersion
     else:
-        values["pulse_period"] = {
-            "median_s": of[MEDIAN_PERIOD.name],
-            "dispersion": of["period_dispersion"],
-            "definition": "acceleration",
-        }
+        values["pulse_period"] = {"median_s": of[MEDIAN_PERIOD.name], "definition": "acceleration"} | dispersion
     if _FRICTION_BOUND.name in of:
         values["properties"] = {_FRICTION_BOUND.name: of[_FRICTION_BOUND.name]}
     return hazard_of(values, Path("site"))
 
 
-def _checked(name: str, values: dict[str, Any], sliders: tuple[Slider, ...]) -> tuple[tuple[str, float], ...]:
-    """The numbers of all these sliders.
-
-    Raises:
-        InputError: naming the key, the rule and the value.
-    """
-    _check_keys(name, values, tuple(slider.name for slider in sliders))
-    return tuple(
-        (slider.name, checked_number(f"{name}.{slider.name}", values[slider.name], slider.low, slider.high))
-        for slider in sliders
-    )
-
-
-def _check_keys(name: str, values: dict[str, Any], needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
-    for key in values:
-        if key not in (*needed, *optional):
-            raise InputError(f"{name}: has the unknown key {visible(key)[:40]!r}; it takes {', '.join(needed)}.")
-    for key in needed:
-        if key not in values:
-            raise InputError(f"{name}: requires the key {key!r}.")
+def _numbers(sliders: tuple[Slider, ...]) -> Reader:
+    """The numbers of all these sliders."""
+    readers = {slider.name: number(slider.low, slider.high) for slider in sliders}
+    return lambda name, values: tuple(read(values, readers, name).items())

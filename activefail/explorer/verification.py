@@ -5,13 +5,11 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
-from typing import Any, Self
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from activefail.errors import ActivefailError, InputError
-from activefail.execution.executor import Executor
 from activefail.risk.design.design_task import LOOKS
-from activefail.simulators.interface import Results, Simulator
-from activefail.space import Array
 
 STEPS = 2 * len(LOOKS)
 """Most stages of a verification: a search and simulations for each look."""
@@ -25,21 +23,35 @@ class StoppedError(Exception):
     """A visitor stopped the verification."""
 
 
-class Watch:
+@dataclass
+class Verification:
     """The progress of a verification, and whether it must stop.
 
     Attributes:
+        id: names it in questions.
+        state: "running", "done", "stopped" or "failed".
         text: the present stage, in words.
-        step: number of the present stage, from 1 on.
+        step, steps: number of the present stage, from 1 on, and the most stages.
         predictions, simulations: so far.
+        result: once it is done.
+        error: why it failed.
     """
 
-    def __init__(self) -> None:
+    id: str = field(default_factory=lambda: secrets.token_urlsafe(12))
+    state: str = "running"
+    text: str = "starting"
+    step: int = 0
+    steps: int = STEPS
+    predictions: int = 0
+    simulations: int = 0
+    result: dict[str, Any] | None = None
+    error: str = ""
+
+    def __post_init__(self) -> None:
         self._stop = threading.Event()
-        self.text, self.step, self.predictions, self.simulations = "starting", 0, 0, 0
 
     def stop(self) -> None:
-        """Ask the verification to stop."""
+        """Ask it to stop, which it does between two predictions or simulations."""
         self._stop.set()
 
     def check(self) -> None:
@@ -66,88 +78,19 @@ class Watch:
         self.check()
         self.simulations += n
 
-
-class WatchedExecutor:
-    """An executor that counts simulations and ends when its watch says so."""
-
-    def __init__(self, executor: Executor, watch: Watch) -> None:
-        self._executor, self._watch = executor, watch
-
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
-        """Simulate designs, (n, d) (see Executor)."""
-
-        def counted(n: int) -> None:
-            self._watch.simulated(n)
-            if progress is not None:
-                progress(n)
-
-        return self._executor.run(simulator, X, counted)
-
-    def __enter__(self) -> Self:
-        self._executor.__enter__()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._executor.__exit__(*exception)
-
-
-class Verification:
-    """A verification in a thread of its own.
-
-    Attributes:
-        id: names it in requests.
-    """
-
-    def __init__(self, work: Callable[[Watch], dict[str, Any]]) -> None:
-        self.id = secrets.token_urlsafe(12)
-        self._work, self._watch = work, Watch()
-        self._state, self._error = "running", ""
-        self._result: dict[str, Any] | None = None
-        # The process does not wait for it.
-        self._thread = threading.Thread(target=self._run, name="verification", daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it has not ended."""
-        return self._state == "running"
-
-    def stop(self, wait: bool = False) -> None:
-        """Ask it to stop, which it does between two predictions or simulations."""
-        self._watch.stop()
-        if wait and self._thread.is_alive():
-            self._thread.join()
-
-    def progress(self) -> dict[str, Any]:
-        """How far it is: its state ("running", "done", "stopped" or "failed"), and its result once it is done."""
-        watch = self._watch
-        return {
-            "id": self.id,
-            "state": self._state,
-            "text": watch.text,
-            "step": watch.step,
-            "steps": STEPS,
-            "predictions": watch.predictions,
-            "simulations": watch.simulations,
-            "result": self._result,
-            "error": self._error,
-        }
-
-    def _run(self) -> None:
+    def run(self, work: "Callable[[Verification], dict[str, Any]]") -> None:
+        """Do the work, and keep its result or why there is none."""
         try:
-            self._result = self._work(self._watch)
-            self._state = "done"
+            self.result = work(self)
+            self.state = "done"
         except StoppedError:
-            self._state = "stopped"
+            self.state = "stopped"
         except ActivefailError as error:
-            self._error, self._state = str(error), "failed"
+            self.error, self.state = str(error), "failed"
         except Exception:
-            # As for a request: the terminal gets the details, a visitor does not.
+            # As for a question: the terminal gets the details, a visitor does not.
             traceback.print_exc(file=sys.stderr)
-            self._error, self._state = "The explorer failed; its terminal shows the error.", "failed"
+            self.error, self.state = "The explorer failed; its terminal shows the error.", "failed"
 
 
 class Verifications:
@@ -156,32 +99,44 @@ class Verifications:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._last: Verification | None = None
+        self._thread: threading.Thread | None = None
 
-    def start(self, work: Callable[[Watch], dict[str, Any]]) -> dict[str, Any]:
-        """Start a verification; its progress.
+    def start(self, work: Callable[[Verification], dict[str, Any]]) -> dict[str, Any]:
+        """Start a verification in a thread of its own; its progress.
 
         Raises:
             AlreadyRunningError: if another one is running.
         """
         with self._lock:
-            if self._last is not None and self._last.is_running:
+            if self._thread is not None and self._thread.is_alive():
                 raise AlreadyRunningError("Another verification is running. Wait until it ends.")
-            self._last = Verification(work)
-            self._last.start()
-            return self._last.progress()
+            self._last = Verification()
+            # The process does not wait for it.
+            self._thread = threading.Thread(target=self._last.run, args=(work,), daemon=True)
+            self._thread.start()
+            return asdict(self._last)
 
-    def of(self, name: Any) -> Verification:
-        """The verification with an id.
+    def progress(self, id: Any) -> dict[str, Any]:
+        """How far the last verification is.
 
         Raises:
-            InputError: if it is not the last one.
+            InputError: if the id is not that of the last one.
         """
-        last = self._last
-        if last is None or not isinstance(name, str) or not secrets.compare_digest(name.encode(), last.id.encode()):
-            raise InputError("id: must be that of the last verification; verify again.")
-        return last
+        return asdict(self._named(id))
 
-    def stop(self) -> None:
+    def stop(self, id: Any) -> dict[str, Any]:
+        """Ask the last verification to stop; its progress. Raises as `progress` does."""
+        verification = self._named(id)
+        verification.stop()
+        return asdict(verification)
+
+    def _named(self, id: Any) -> Verification:
+        if self._last is None or id != self._last.id:
+            raise InputError("id: must be that of the last verification; verify again.")
+        return self._last
+
+    def close(self) -> None:
         """Stop the running one, if any, and wait for its end."""
-        if self._last is not None:
-            self._last.stop(wait=True)
+        if self._last is not None and self._thread is not None:
+            self._last.stop()
+            self._thread.join()

@@ -1,9 +1,11 @@
-"""The environment of the pages' templates."""
+"""The environments of the pages' templates. All text of a page leaves through them, with escapes."""
+
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from activefail.findings.quantities import words
+from activefail.findings.quantities import significant, words
 from activefail.shares import bounds_percent, interval_percent, percent
 from activefail.visible import visible
 
@@ -18,29 +20,29 @@ def subscripts(text: str) -> Markup:
     return out
 
 
+def probability(p: float) -> str:
+    """A probability to two digits, never rounded to 0 or 1."""
+    return "< 0.01" if p < 0.005 else "> 0.99" if p > 0.995 else f"{p:.2f}"
+
+
 def _shown(value: object) -> object:
     """Foreign text with visible control characters; pictures and other markup unchanged."""
     return visible(value, keep="\n\t") if type(value) is str else value
 
 
-def page_environment() -> Environment:
-    """The environment of the pages' templates."""
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_shown,
-    )
-    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
-    environment.globals["interval_percent"] = interval_percent
-    environment.globals["bounds_percent"] = bounds_percent
-    return environment
+def page_environment(package: str = "activefail.report") -> Environment:
+    """The environment of the HTML pages' templates in a package."""
+    return _environment(package, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 
 def markdown_environment() -> Environment:
     """The environment of the Markdown pages' templates."""
-    return Environment(
-        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
-    )
+    return _environment("activefail.report", keep_trailing_newline=True)
+
+
+def _environment(package: str, **more: Any) -> Environment:
+    environment = Environment(loader=PackageLoader(package, "."), undefined=StrictUndefined, finalize=_shown, **more)
+    shown = (subscripts, words, percent, significant, probability, interval_percent, bounds_percent)
+    environment.filters |= {one.__name__: one for one in shown}
+    environment.globals |= {one.__name__: one for one in (interval_percent, bounds_percent)}
+    return environment

@@ -3,16 +3,20 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import pytest
-from patience import until
+from report.browser import browser
 from report.test_report import ran, settings
 
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import Findings, findings_of
 from activefail.loop.learning import current_classifier
+from activefail.record.run_folder import FolderStore
 from activefail.surrogate.threads import one_thread
 
 
@@ -29,10 +33,46 @@ def answers(findings: Findings) -> Answers:
     return Answers(findings)
 
 
+def answers_of(campaign: Campaign, folder: Path) -> Answers:
+    """The answers about a campaign that is taken to its budget in a folder."""
+    ran(folder, campaign)
+    with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
+        return Answers(findings_of(folder, campaign, store, current_classifier(campaign, store, write=False)))
+
+
+@pytest.fixture(scope="module")
+def server(answers: Answers) -> Iterator[ExplorerServer]:
+    with served(answers) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def address(server: ExplorerServer) -> str:
+    return server.address
+
+
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    with browser() as driver:
+        yield driver
+
+
+class Visitor:
+    """A visitor with a browser."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def one(self, css: str) -> Any:
+        return self.driver.find_element("css selector", css)
+
+
 @contextmanager
 def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer]:
     """A server of these answers on a free port, in a thread of its own."""
     with ExplorerServer(host, 0, answers) as server:
+        # Who is still being answered would compete for the classifier with the next test.
+        server.daemon_threads = False
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
@@ -40,5 +80,3 @@ def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer
         finally:
             server.shutdown()
             thread.join()
-            # Who is still being answered would compete for the classifier with the next test.
-            until(lambda: not server.connections, "the end of all connections")

@@ -5,25 +5,20 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import served
+from explorer.conftest import Visitor, served
+from explorer.test_design_answers import asked, required
 from patience import until
 from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
 from activefail.explorer.design import DesignAnswers
-from activefail.explorer.verification import Watch
+from activefail.explorer.verification import Verification
 
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 
 
-class Visitor:
-    def __init__(self, driver: Any) -> None:
-        self.driver = driver
-
-    def one(self, css: str) -> Any:
-        return self.driver.find_element("css selector", css)
-
+class Designer(Visitor):
     def shown(self, refined: bool = False) -> tuple[float, float] | None:
         """The required value (NaN if there is none) and its probability, once they are there."""
         data = self.driver.execute_script("return {...document.getElementById('required').dataset}")
@@ -48,23 +43,11 @@ class Visitor:
         until(lambda: self.driver.find_elements("css selector", "#curve svg"), "the curve")
 
 
-@pytest.fixture(scope="module")
-def address(answers: Answers) -> Iterator[str]:
-    with served(answers) as server:
-        yield server.address
-
-
-@pytest.fixture(scope="module")
-def driver() -> Iterator[Any]:
-    with browser() as driver:
-        yield driver
-
-
 @pytest.fixture
-def visitor(address: str, driver: Any) -> Iterator[Visitor]:
+def visitor(address: str, driver: Any) -> Iterator[Designer]:
     fresh(driver, 1400, 1100)
     driver.get(f"{address}design")
-    visitor = Visitor(driver)
+    visitor = Designer(driver)
     visitor.settled()
     yield visitor
     assert console_errors(driver) == []
@@ -90,14 +73,14 @@ def test_a_slider_moved_by_the_keyboard_changes_the_required_value(visitor, desi
     from selenium.webdriver.common.keys import Keys
 
     assert visitor.one("h1").text == SCRIPT
-    asked = start(design)
-    visitor.until_shown(design.required(design.asked(asked), refined=True))
+    question = start(design)
+    visitor.until_shown(required(design, question, refined=True))
     before = visitor.one("#curve").get_attribute("innerHTML")
     pgv = visitor.one("#v3")
     assert visitor.one("#t3").get_attribute("aria-label") == "PGV in m/s, as a number"
     pgv.send_keys(Keys.HOME)
-    asked["site"]["median_pgv"] = 0.1
-    visitor.until_shown(design.required(design.asked(asked), refined=True))
+    question["site"]["median_pgv"] = 0.1
+    visitor.until_shown(required(design, question, refined=True))
     assert pgv.get_attribute("aria-valuetext") == "0.1 m/s"
     assert visitor.one("#t3").get_attribute("value") == "0.1"
     assert visitor.one("#curve").get_attribute("innerHTML") != before
@@ -112,10 +95,10 @@ def test_the_median_period_takes_the_place_of_the_magnitude(visitor, design):
     assert not visitor.one("#s0").is_displayed()
     assert visitor.one("#s1").is_displayed()
     visitor.one("#v1").send_keys(Keys.END)
-    asked = start(design)
-    del asked["site"]["magnitude"]
-    asked["site"]["median_period"] = 8.0
-    visitor.until_shown(design.required(design.asked(asked), refined=True))
+    question = start(design)
+    del question["site"]["magnitude"]
+    question["site"]["median_period"] = 8.0
+    visitor.until_shown(required(design, question, refined=True))
     assert "Median Tp 8 s." in visitor.one("#accuracy").text.replace("\n", "")
 
 
@@ -123,9 +106,9 @@ def test_a_target_is_a_category_or_a_number_and_one_out_of_range_is_refused(visi
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.select import Select
 
-    asked = start(design)
+    question = start(design)
     Select(visitor.one("#category")).select_by_value("0.025")
-    visitor.until_shown(design.required(design.asked(asked | {"target": 0.025}), refined=True))
+    visitor.until_shown(required(design, question | {"target": 0.025}, refined=True))
     field = visitor.one("#target")
     assert field.get_attribute("value") == "2.5"
 
@@ -134,7 +117,7 @@ def test_a_target_is_a_category_or_a_number_and_one_out_of_range_is_refused(visi
         field.send_keys(Keys.BACKSPACE, text, Keys.ENTER)
 
     types("20")
-    visitor.until_shown(design.required(design.asked(asked | {"target": 0.2}), refined=True))
+    visitor.until_shown(required(design, question | {"target": 0.2}, refined=True))
     assert visitor.one("#category").get_attribute("value") == ""
     for text in ("0", "much", ""):
         types(text)
@@ -160,7 +143,7 @@ def test_the_button_verifies_with_a_progress_bar_and_an_interval(visitor, design
     assert visitor.driver.execute_script("return window.seen.size") > 0
     assert not visitor.one("#running").is_displayed()
     until(button.is_enabled, "the button")
-    expected = design.verified(design.asked(start(design)), Watch())
+    expected = design.verified(Verification(), **asked(design, start(design)))
     assert visitor.one("#verdict").text == expected["verdict"]
     assert visitor.one("#estimate").text.replace("\n", "") == expected["text"].replace("_", "")
     assert " between " in expected["text"]
@@ -188,7 +171,7 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
     # A browser of its own, whose end lets the server end: it would keep its connections open.
     with served(answers) as server, browser() as driver:
         driver.get(f"{server.address}design")
-        visitor = Visitor(driver)
+        visitor = Designer(driver)
         visitor.settled()
         former = visitor.one("#required").text
         answering.clear()
@@ -203,15 +186,15 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
 
 
 def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, monkeypatch):
-    def verified(self, asked, watch):
-        watch.stage("waiting")
-        until(lambda: watch.check(), "a stop")
+    def verified(self, verification, **asked):
+        verification.stage("waiting")
+        until(verification.check, "a stop")
 
     monkeypatch.setattr(DesignAnswers, "verified", verified)
     # A browser of its own, whose end lets the server end: it would keep its connections open.
     with served(answers) as server, browser() as driver:
         driver.get(f"{server.address}design")
-        visitor = Visitor(driver)
+        visitor = Designer(driver)
         visitor.one("#verify").click()
         until(lambda: "waiting" in visitor.one("#job").text, "its stage")
         assert not visitor.one("#verify").is_enabled()
@@ -228,7 +211,7 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
     size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     driver.get(f"{address}design")
-    visitor = Visitor(driver)
+    visitor = Designer(driver)
     visitor.settled()
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
     for control in driver.find_elements("css selector", "button, select, summary, input:not([type=radio])"):

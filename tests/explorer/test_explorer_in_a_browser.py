@@ -4,24 +4,17 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import served
+from explorer.conftest import Visitor, served
 from patience import PATIENCE, until
 from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
-from activefail.explorer.answers import Answers
 from activefail.explorer.server import MOST_QUESTIONS
 
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 
 
-class Visitor:
-    def __init__(self, driver: Any) -> None:
-        self.driver = driver
-
-    def one(self, css: str) -> Any:
-        return self.driver.find_element("css selector", css)
-
+class Explorer(Visitor):
     def probabilities(self) -> dict[str, float]:
         bars = "[...document.querySelectorAll('#probabilities .bar')]"
         script = f"return {bars}.map(b => [b.dataset.outcome, +b.dataset.probability])"
@@ -42,23 +35,11 @@ class Visitor:
         until(lambda: self.marker()[0] > 0.0, "the marker")
 
 
-@pytest.fixture(scope="module")
-def address(answers: Answers) -> Iterator[str]:
-    with served(answers) as server:
-        yield server.address
-
-
-@pytest.fixture(scope="module")
-def driver() -> Iterator[Any]:
-    with browser() as driver:
-        yield driver
-
-
 @pytest.fixture
-def visitor(address: str, driver: Any) -> Iterator[Visitor]:
+def visitor(address: str, driver: Any) -> Iterator[Explorer]:
     fresh(driver, 1400, 1000)
     driver.get(address)
-    visitor = Visitor(driver)
+    visitor = Explorer(driver)
     visitor.settled()
     yield visitor
     assert console_errors(driver) == []
@@ -207,7 +188,7 @@ def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answe
     # A browser of its own, whose end lets the server end: it would keep its connections open.
     with served(answers) as server, browser() as driver:
         driver.get(server.address)
-        visitor = Visitor(driver)
+        visitor = Explorer(driver)
         visitor.settled()
         for _ in range(MOST_QUESTIONS):
             assert server.turns.acquire(timeout=PATIENCE)
@@ -224,7 +205,7 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
     size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     driver.get(address)
-    visitor = Visitor(driver)
+    visitor = Explorer(driver)
     visitor.settled()
     visitor.one("#simulate").click()
     until(lambda: visitor.one("#outcome").text, "the outcome")

@@ -2,8 +2,6 @@
 
 import http.client
 import json
-import os
-import resource
 import socket
 import threading
 from collections.abc import Iterator
@@ -18,7 +16,7 @@ from patience import PATIENCE, until
 from activefail.errors import InputError
 from activefail.explorer import server as explorer_server
 from activefail.explorer.answers import Answers
-from activefail.explorer.server import LONGEST_BODY, MOST_CONNECTIONS, MOST_QUESTIONS, ExplorerServer, is_loopback
+from activefail.explorer.server import LONGEST_BODY, MOST_QUESTIONS, ExplorerServer, is_loopback
 
 POINT = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 
@@ -58,12 +56,6 @@ def ask(server: ExplorerServer, question: str, what: object, **headers: str) -> 
 
 
 @pytest.fixture(scope="module")
-def server(answers: Answers):
-    with served(answers) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def abroad(answers: Answers):
     """A server that other machines may reach."""
     with served(answers, "0.0.0.0") as running:
@@ -95,7 +87,7 @@ def test_a_page_may_load_nothing_from_elsewhere_and_be_shown_nowhere_else(server
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1:{port}.evil.example", "", "[::1"],
+    ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1:{port}.evil.example", ""],
 )
 def test_another_host_s_name_is_not_answered(server, host):
     port = server.server_address[1]
@@ -120,9 +112,15 @@ def test_another_site_s_page_may_not_ask(server):
     ("question", "what", "status", "says"),
     [
         ("predict", {"point": [*POINT[:8], 9.0]}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
-        ("predict", {}, 400, "point: must be a list of 9 numbers"),
+        ("predict", {}, 400, "question: must be a JSON object with the keys point."),
         ("predict", [1], 400, "must be a JSON object"),
-        ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "variable: must be one of"),
+        ("predict", {"point": [1.0]}, 400, "question.point: must be a list of 9 numbers"),
+        *(
+            ("predict", {"point": [*POINT[:8], value]}, 400, "A_p: must lie between 0.1 and 0.8")
+            for value in (float("nan"), float("inf"), 10**400, "0.5", True)
+        ),
+        ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "y: must be one of T_b"),
+        ("plane", {"point": POINT, "x": "T_p", "y": "A_p", "shown": "no_impact"}, 400, "shown: must be one of"),
         ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two different variables"),
         ("delete", {"point": POINT}, 404, "Unknown request"),
     ],
@@ -208,7 +206,7 @@ def test_the_loopback_interface_is_told_apart():
 
 
 def test_a_host_that_cannot_be_one_is_refused(answers):
-    with pytest.raises(InputError, match=r"--host: 'ä\.\.b' is not an address: encoding"):
+    with pytest.raises(InputError, match=r"Cannot listen on ä\.\.b:0: encoding"):
         ExplorerServer("ä..b", 0, answers)
 
 
@@ -310,62 +308,19 @@ def test_beyond_the_most_questions_at_once_one_is_refused_and_may_be_asked_again
         assert ask(server, "predict", {"point": POINT}).status == 200
 
 
-@pytest.fixture
-def many_descriptors():
-    """This process may open enough files for both ends of more than a thousand connections."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if hard != resource.RLIM_INFINITY and hard < 4096:
-        pytest.skip("this process may open too few files")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 4096), hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+def test_a_connection_beyond_the_most_is_closed_until_there_is_room(answers, monkeypatch):
+    monkeypatch.setattr(explorer_server, "MOST_CONNECTIONS", threading.active_count() + 2)
+    with served(answers) as server:
+        with connected(server) as one, connected(server) as other, connected(server) as beyond:
+            assert beyond.recv(1) == b""
+            for line in (one, other):
+                line.sendall(question(server, "predict", {"point": POINT}))
+                assert reply(line).status == 200
 
+        def is_served() -> bool:
+            try:
+                return request(server).status == 200
+            except OSError:
+                return False
 
-@pytest.mark.usefixtures("many_descriptors")
-def test_connections_that_ask_nothing_make_room_for_a_visitor(answers):
-    with served(answers) as server, ExitStack() as stack:
-        silent = [stack.enter_context(connected(server)) for _ in range(1200)]
-        assert ask(server, "predict", {"point": POINT}).status == 200
-        assert len(server.connections) <= MOST_CONNECTIONS
-        # Those that were quiet longest are closed, the last ones are not.
-        assert silent[0].recv(1) == b""
-        silent[-1].sendall(question(server, "predict", {"point": POINT}))
-        assert reply(silent[-1]).status == 200
-
-
-def test_a_connection_that_makes_room_while_it_is_answered_still_gets_its_answer(answers, held, monkeypatch):
-    monkeypatch.setattr(explorer_server, "MOST_CONNECTIONS", 3)
-    with served(answers) as server, ExitStack() as stack:
-        asking = stack.enter_context(connected(server))
-        asking.sendall(question(server, "predict", {"point": POINT}))
-        assert held.begun.acquire(timeout=PATIENCE)
-        # The first two take all the room; each later one replaces the connection that has been quiet longest.
-        silent = [stack.enter_context(connected(server)) for _ in range(5)]
-        assert silent[0].recv(1) == b""
-        held.released.set()
-        assert reply(asking).status == 200
-        assert asking.recv(1) == b""
-
-
-def test_where_no_descriptor_is_left_quiet_connections_make_room_too(answers, monkeypatch):
-    accept = socket.socket.accept
-    refused = threading.Event()
-
-    def accepts(listening: socket.socket) -> tuple[socket.socket, Any]:
-        if not refused.is_set():
-            refused.set()
-            raise OSError(24, os.strerror(24))
-        return accept(listening)
-
-    with served(answers) as server, ExitStack() as stack:
-        silent = stack.enter_context(connected(server))
-        until_known(server, 1)
-        monkeypatch.setattr(socket.socket, "accept", accepts)
-        assert request(server).status == 200
-        assert refused.is_set()
-        assert silent.recv(1) == b""
-
-
-def until_known(server: ExplorerServer, number: int) -> None:
-    """Wait until so many connections are accepted."""
-    until(lambda: len(server.connections) == number, f"{number} connections")
+        until(is_served, "room for a visitor")
