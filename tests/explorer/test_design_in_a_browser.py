@@ -162,9 +162,9 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
 
     required, answering = DesignAnswers.required, threading.Event()
 
-    def held(self, *arguments):
+    def held(self, **asked):
         until(answering.is_set, "the test")
-        return required(self, *arguments)
+        return required(self, **asked)
 
     monkeypatch.setattr(DesignAnswers, "required", held)
     answering.set()
