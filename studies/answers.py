@@ -2,6 +2,7 @@
 
     python studies/answers.py --part fragility --campaign runs/bearing     8 bearings x 6 hazards (half an hour)
     python studies/answers.py --part lost                                  10 campaigns x 20 estimates
+    python studies/answers.py --part outcomes --seeds 3                    3 campaigns x 10 estimates
 
 The parts are
 
@@ -12,6 +13,10 @@ The parts are
                90 % intervals, each of 50 fresh simulations, that contain the probability if no lost run is a failure,
                and if all are. And, from outcomes, a mesh that dies where x2 < 0, with failure where 0.5 - x1 - 0.1 x2
                <= 0: how many runs are lost among the first 20 and the last 40
+
+    outcomes   failure that is hardly rarer than impact or worse, 2 - x1 - 0.3 sin(2 x2) at most 0 or 0.25, learned from
+               80 outcomes: how often P(failure) exceeds the other, and the coverage and mean width of nominal 90 %
+               intervals, each of 50 fresh simulations
 
 Each line of --out is one bearing or campaign; a repeated command continues where it stopped.
 """
@@ -39,6 +44,7 @@ MAGNITUDES = (6.0, 6.4, 6.8, 7.0, 7.4, 8.0)
 RATES = {"pgv_m_s": [0.2, 0.5, 1.0, 2.0], "annual_rate": [1e-2, 2e-3, 4e-4, 5e-5]}
 PULSES = 256
 IF_NONE, IF_ALL = 1.4174e-3, 7.6e-3
+OF_IMPACT, OF_FAILURE = 0.04353, 0.02519
 
 
 def fragility(folder, number):
@@ -114,6 +120,41 @@ def lost(problem, seed, estimates=20):
     return row
 
 
+class Nearly(Problem):
+    """A limit state with an impact nearby."""
+
+    outcomes = ("safe", "impact", "failure")
+
+    def run(self, X):
+        return replace(super().run(X), outcome=np.digitize(-self.limit(X), [-0.25, 0.0]).astype(np.int8))
+
+
+NEARLY = Nearly(lambda X: 2.0 - X[:, 0] - 0.3 * np.sin(2.0 * X[:, 1]), standard(2), shown=None)
+
+
+def outcomes(seed, estimates=10):
+    """The estimates of both outcomes from one campaign."""
+    campaign, rows = NEARLY.campaign(seed=seed, sampling__initial=80, sampling__batch=4, sampling__budget=80), []
+    learned = in_memory(campaign)
+    with ThreadExecutor(1) as executor, one_thread():
+        last = learned.history.last_iteration
+        estimator = Estimator(campaign, learned.store, executor, learned.classifier, last)
+        for draw in range(estimates):
+            question = Question.of_space(campaign.space)
+            question = question.drawn(draw) if draw else question
+            of = [estimator.sample(one, 50, question).estimate(0.9) for one in NEARLY.outcomes[1:]]
+            rows.append({"seed": seed, "draw": draw, "of": [(one.probability, one.low, one.high) for one in of]})
+    return rows
+
+
+def show_outcomes(rows):
+    of = np.array([row["of"] for row in rows])
+    print(f"{len(of)} estimates; P(failure) exceeds P(impact or worse) in {(of[:, 1, 0] > of[:, 0, 0]).sum()}")
+    for name, one, true in zip(NEARLY.outcomes[1:], of.swapaxes(0, 1), (OF_IMPACT, OF_FAILURE), strict=True):
+        held = ((one[:, 1] <= true) & (true <= one[:, 2])).sum()
+        print(f"  {name}: {held} of {len(one)} intervals cover; mean width {np.mean(one[:, 2] - one[:, 1]):.3f}")
+
+
 def show_fragility(rows):
     print(f"{len(rows)} hazards; largest excess of failure {max(row['excess'] for row in rows):.2g}")
     for title, beyond in (("at most 10 % of the pulses outside", False), ("more of them", True)):
@@ -153,8 +194,13 @@ def main():
                     if rows.lack(seed=seed, margins=bool(problem.margins)):
                         rows.add(**lost(problem, seed))
             show_lost(rows)
+        case "outcomes":
+            for seed in range(options.seeds):
+                for row in outcomes(seed) if rows.lack(seed=seed) else ():
+                    rows.add(**row)
+            show_outcomes(rows.finished)
         case _:
-            raise SystemExit("--part: must be fragility or lost.")
+            raise SystemExit("--part: must be fragility, lost or outcomes.")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
 from activefail.reliability.hidden import ModeCheck
-from activefail.reliability.integral import Standardised, integrate
+from activefail.reliability.integral import Boundaries, Standardised, integrate
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.margin import MarginLatent
 from activefail.weighted import WeightedRows
@@ -246,19 +246,12 @@ def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Ar
 
 def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> Baseline:
     """The share of a distribution for which a boundary is predicted to be crossed."""
-
-    def predicted(X: Array) -> Array:
-        return np.asarray(np.where(standardised(X) > 0.0, np.inf, -np.inf)[:, None])
-
-    integral = integrate(predicted, space, accuracy=_ACCURACY)
-    return Baseline(float(integral.probability[0]), float(integral.error[0]))
+    return _baselines(lambda X: standardised(X)[:, None], space)[0]
 
 
-class Predictor(NamedTuple):
-    """A boundary as a function of the values of a distribution, and its share of predictions."""
-
-    standardised: Standardised
-    share: Baseline
+def _baselines(boundaries: Boundaries, space: DesignSpace | WeightedRows) -> list[Baseline]:
+    integral = integrate(lambda X: np.where(boundaries(X) > 0.0, np.inf, -np.inf), space, accuracy=_ACCURACY)
+    return [Baseline(*map(float, pair)) for pair in zip(integral.probability, integral.error, strict=True)]
 
 
 def plan_estimate(
@@ -267,7 +260,6 @@ def plan_estimate(
     of_classifier: Baseline,
     m: int,
     rng: np.random.Generator,
-    ends: tuple[Predictor, Predictor] | None = None,
 ) -> Plan:
     """Plan m fresh simulations that correct the baseline of a classifier.
 
@@ -277,35 +269,59 @@ def plan_estimate(
         of_classifier: the baseline.
         m: number of simulations.
         rng: draws them.
-        ends: the boundaries if none, and all, of the runs that are probably lost are beyond.
     """
     drawn = population(space, RADIAL, None, rng)
-    predictors = (Predictor(standardised, of_classifier), *(ends or ()))
-    plan, *others = _planned(drawn.X, drawn.weight, predictors, m, rng, isinstance(space, WeightedRows))
-    return replace(plan, ends=(others[0], others[1])) if others else plan
+    z = standardised(drawn.X)[None, None]
+    return _planned(drawn.X, drawn.weight, z, [[of_classifier]], m, rng, isinstance(space, WeightedRows))[0]
+
+
+def plan_estimates(
+    boundaries: Sequence[Boundaries], space: DesignSpace | WeightedRows, m: int, rng: np.random.Generator
+) -> list[Plan]:
+    """Plan m fresh simulations that correct the baselines of all b boundaries.
+
+    Args:
+        boundaries: as learned; followed by those if none, and all, of the runs that are probably lost are beyond, if
+            any is.
+        space: the distribution.
+        m: number of simulations.
+        rng: draws them.
+    """
+    drawn = population(space, RADIAL, None, rng)
+    z = np.array([of(drawn.X).T for of in boundaries])
+    shares = [_baselines(of, space) for of in boundaries]
+    return _planned(drawn.X, drawn.weight, z, shares, m, rng, isinstance(space, WeightedRows))
 
 
 def _planned(
-    X: Array, weight: Array, predictors: Sequence[Predictor], m: int, rng: np.random.Generator, is_exact: bool
+    X: Array,
+    weight: Array,
+    z: Array,
+    baselines: Sequence[Sequence[Baseline]],
+    m: int,
+    rng: np.random.Generator,
+    is_exact: bool,
 ) -> list[Plan]:
     """A plan for each boundary with the same m designs of a weighted sample, or of an exact distribution.
 
     Args:
-        X: (n, k) the sample.
+        X: (n, d) the sample.
         weight: (n,) density of the design measure over that of the sample.
-        predictors: the boundaries.
+        z: (1 or 3, b, n) the boundaries there (see `plan_estimates`).
+        baselines: (1 or 3, b).
         m: number of simulations.
         rng: draws them.
         is_exact: whether the rows are the distribution itself, by their weights.
     """
-    z = np.array([one.standardised(X) for one in predictors])
-    parts = weight * doubt(z / _WIDER).max(axis=0)
     # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
-    shares = weight / weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
-    if parts.sum() > 0.0:
-        shares = (1.0 - UNIFORM) * parts / parts.sum() + UNIFORM * shares
+    shares = weight / weight.sum() if is_exact else np.full(len(X), 1.0 / len(X))
+    parts = weight * doubt(z / _WIDER).max(axis=0)
+    if len(parts := parts[parts.sum(axis=1) > 0.0]):
+        # The same for each boundary, however likely its outcome is.
+        of_each = (1.0 - UNIFORM) / len(parts) * parts / parts.sum(axis=1, keepdims=True)
+        shares = of_each.sum(axis=0) + UNIFORM * shares
     # A row without weight is never drawn.
-    ratio = np.divide(weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
+    ratio = np.divide(weight, len(X) * shares, out=np.zeros(len(X)), where=shares > 0.0)
 
     def doubts(z: Array, deviation: float) -> tuple[Doubt, Doubt]:
         side = ndtr(z / (_WIDER * deviation))
@@ -313,29 +329,30 @@ def _planned(
 
         def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
             # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
-            population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(parts) ** 2
+            population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(X) ** 2
             return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
 
         return doubt_of(z <= 0.0), doubt_of(z > 0.0)
 
-    rows = rng.choice(len(parts), m, p=shares / shares.sum())
-    plans = []
-    for of_boundary, predictor in zip(z, predictors, strict=True):
-        missed, false = doubts(of_boundary, 1.0)
-        plans.append(
-            Plan(
-                designs=X[rows],
-                ratio=ratio[rows],
-                predicted=of_boundary[rows] > 0.0,
-                standardised=of_boundary[rows],
-                probability=predictor.share.probability,
-                standard_error=predictor.share.standard_error,
-                missed=missed,
-                false=false,
-                doubts=partial(doubts, of_boundary),
-            )
+    rows = rng.choice(len(X), m, p=shares / shares.sum())
+
+    def plan(z: Array, share: Baseline) -> Plan:
+        missed, false = doubts(z, 1.0)
+        return Plan(
+            designs=X[rows],
+            ratio=ratio[rows],
+            predicted=z[rows] > 0.0,
+            standardised=z[rows],
+            probability=share.probability,
+            standard_error=share.standard_error,
+            missed=missed,
+            false=false,
+            doubts=partial(doubts, z),
         )
-    return plans
+
+    learned, *ends = ([plan(*one) for one in zip(*of, strict=True)] for of in zip(z, baselines, strict=True))
+    pairs = zip(*ends, strict=True) if ends else [None] * len(learned)
+    return [replace(of, ends=pair) for of, pair in zip(learned, pairs, strict=True)]
 
 
 def _recall(

@@ -20,11 +20,11 @@ from activefail.reliability.estimate import (
     SURE,
     Doubt,
     Plan,
-    Predictor,
     ProbabilityEstimate,
     baseline,
     deviation_of_margins,
     plan_estimate,
+    plan_estimates,
 )
 from activefail.reliability.hidden import ModeCheck
 from activefail.reliability.integral import (
@@ -117,6 +117,7 @@ class Sampled:
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
         check: of a question; None if none was made.
         exists: which designs exist; None if all do.
+        severer: the same simulations for the more severe outcomes; empty if others answer for these.
     """
 
     plan: Plan | StratifiedPlan
@@ -127,8 +128,15 @@ class Sampled:
     error: float = 0.0
     check: ModeCheck | None = None
     exists: "Existing | None" = None
+    severer: "tuple[Sampled, ...]" = ()
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
+        """The probability with an interval of this confidence, at least those of the more severe outcomes."""
+        estimates = [one._of_outcome(confidence) for one in (self, *self.severer)]
+        largest = {name: max(getattr(one, name) for one in estimates) for name in ("probability", "low", "high")}
+        return replace(estimates[0], **largest)
+
+    def _of_outcome(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
         estimate = self._among_all(confidence)
         if self.exists is None:
@@ -218,6 +226,7 @@ class _Fresh:
 
     Attributes:
         plan: of the draws.
+        severer: of the same draws for the more severe outcomes; empty if other draws answer for these.
         name, name_of_check: of the stored set, and of that of the mode check.
         designs: (s, d) to simulate.
         first: as `Sampled.first`.
@@ -227,6 +236,7 @@ class _Fresh:
     """
 
     plan: Plan | StratifiedPlan
+    severer: tuple[Plan, ...]
     name: str
     name_of_check: str
     designs: Array
@@ -251,7 +261,11 @@ class _Fresh:
         exists, boundary = None, BoundariesOf(classifier, campaign.features).exists
         if self.existing is not None and boundary is not None:
             exists = Existing(self.existing, ndtr(boundary(designs))[:, 0], ~impossible, plan.ratio)
-        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error, exists=exists)
+        severer = tuple(
+            replace(self, plan=one, severer=()).sampled(campaign, classifier, results, number)
+            for number, one in enumerate(self.severer, start=severity + 1)
+        )
+        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error, exists=exists, severer=severer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +303,7 @@ class Estimator:
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
         common = (self.campaign, self.classifier, outcome, self.iteration, simulations)
-        return _planned(*common, _thinned(question, simulations))
+        return _planned(*common, _thinned(question, simulations))[0]
 
     def sample(self, outcome: str, simulations: int, question: Question, checks: bool = False) -> Sampled:
         """Simulate fresh designs for the probability of an outcome or a more severe one.
@@ -361,10 +375,10 @@ def stored_estimate(
         checks: whether to read the mode check too, if it is stored.
     """
     severity = campaign.simulator.outcomes.index(outcome)
-    latent = classifier.latent(outcome)
-    sizes = estimate_sizes(store, severity, iteration, question.digest)
+    latent, number = classifier.latent(outcome), _number(classifier, outcome, question)
+    sizes = estimate_sizes(store, number, iteration, question.digest)
     if (thinned := _thinned(question, 0)) is not question:
-        sizes += estimate_sizes(store, severity, iteration, thinned.digest)
+        sizes += estimate_sizes(store, number, iteration, thinned.digest)
     for simulations in sizes:
         fresh = _fresh(campaign, classifier, outcome, iteration, simulations, _thinned(question, simulations))
         results = stored_results(store, fresh.name, fresh.designs)
@@ -400,17 +414,19 @@ def _fresh(
         z = of_designs(question.designs(rows.X))
         model, none = float((rows.weight * (z > 0.0)).mean()), Doubt(0.0, 0.0)
         plan: Plan | StratifiedPlan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
+        severer: tuple[Plan, ...] = ()
     else:
-        plan = _planned(campaign, classifier, outcome, iteration, simulations, question)
+        plan, severer = _planned(campaign, classifier, outcome, iteration, simulations, question)
         error = error_of_rows(of_designs, question)
-    kept = (classifier.outcomes.index(outcome), iteration, simulations, question.digest)
+    kept = (iteration, simulations, question.digest)
     designs, first, place = question.designs(plan.designs), None, None
     if isinstance(rows, WeightedRows):
         designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
     exists = BoundariesOf(classifier, campaign.features).exists
     existing = None if exists is None else integrate(exists, rows, designs=question.designs).of(0)
-    names = name_of_estimate(*kept), name_of_check(*kept)
-    return _Fresh(plan, *names, designs, first, place, is_complete, error, existing)
+    name = name_of_estimate(_number(classifier, outcome, question), *kept)
+    of_check = name_of_check(classifier.outcomes.index(outcome), *kept)
+    return _Fresh(plan, severer, name, of_check, designs, first, place, is_complete, error, existing)
 
 
 def error_of_rows(standardised: Standardised, question: Question) -> float:
@@ -421,32 +437,50 @@ def error_of_rows(standardised: Standardised, question: Question) -> float:
     return float(rows.standard_error(standardised(question.designs(rows.X)) > 0.0))
 
 
+def _is_shared(classifier: Classifier, question: Question) -> bool:
+    """Whether the same fresh simulations, drawn by importance, answer for all outcomes.
+
+    They do under the campaign's own distribution, where runs are lost, and where boundaries are learned from margins:
+    unlike outcomes, margins show how far from a boundary a design is.
+    """
+    by_margins = all(isinstance(latent, MarginLatent) for latent in classifier.latents)
+    return question.is_own or classifier.unknown is not None or by_margins
+
+
+def _number(classifier: Classifier, outcome: str, question: Question) -> int:
+    """The number of an outcome in the name of its fresh simulations; that of the first one if all share them."""
+    return 1 if _is_shared(classifier, question) else classifier.outcomes.index(outcome)
+
+
 def _planned(
     campaign: Campaign, classifier: Classifier, outcome: str, iteration: int, simulations: int, question: Question
-) -> Plan | StratifiedPlan:
-    """The fresh simulations that estimate a probability under a question.
+) -> tuple[Plan | StratifiedPlan, tuple[Plan, ...]]:
+    """The fresh simulations that estimate a probability under a question, and the same for more severe outcomes.
 
-    They are drawn by importance under the campaign's own distribution, where the outcome is very rare, and where the
-    boundary is learned from a margin: unlike outcomes, margins show how far from it a design is.
+    If they are not shared, those of an outcome are drawn by importance where it is very rare, or learned from a margin.
     """
-    latent, unknown = classifier.latent(outcome), classifier.unknown is not None
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
 
-    def boundary(lost: Lost) -> Standardised:
-        of_designs = boundary_of(classifier, campaign.features, outcome, lost)
+    def boundaries(lost: Lost) -> Boundaries:
+        of_designs = BoundariesOf(classifier, campaign.features, lost)
         return lambda X: of_designs(question.designs(X))
 
-    standardised = boundary("learned")
-    in_strata = not (question.is_own or unknown or isinstance(latent, MarginLatent))
+    severity = classifier.outcomes.index(outcome)
+    if _is_shared(classifier, question):
+        kinds: tuple[Lost, ...] = ("learned",) if classifier.unknown is None else ("learned", "none", "all")
+        plans = plan_estimates([boundaries(lost) for lost in kinds], question.space, simulations, rng)
+        return plans[severity - 1], tuple(plans[severity:])
+    learned = boundaries("learned")
+
+    def standardised(X: Array) -> Array:
+        return learned(X)[:, severity - 1]
+
+    in_strata = not isinstance(classifier.latent(outcome), MarginLatent)
     if in_strata and (plan := plan_strata(standardised, question.space, simulations, rng)) is not None:
-        return plan
+        return plan, ()
     share = baseline(standardised, question.space)
     if in_strata and (plan := plan_wide_strata(standardised, question.space, share, simulations, rng)) is not None:
-        return plan
-    if not unknown:
-        return plan_estimate(standardised, question.space, share, simulations, rng)
-    none, everything = boundary("none"), boundary("all")
-    ends = Predictor(none, baseline(none, question.space)), Predictor(everything, baseline(everything, question.space))
-    return plan_estimate(standardised, question.space, share, simulations, rng, ends)
+        return plan, ()
+    return plan_estimate(standardised, question.space, share, simulations, rng), ()

@@ -8,7 +8,8 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     around-<designs>                    designs around those of a test set
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
-    probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
+    probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability; the number
+                                        is 1 if they answer for all outcomes
     question-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question
     check-<digest>-<number of outcome>-<iteration>-<designs>  the mode check beside them
 """

@@ -1,0 +1,52 @@
+"""The estimates from fresh simulations of one question agree with each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.campaign.settings import CampaignSettings
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.learning import current
+from activefail.record.memory import MemoryStore
+from activefail.simulators.interface import Results
+from activefail.verification.probability_estimator import Estimator, stored_estimate
+
+
+@dataclass(frozen=True)
+class Nearly:
+    """Failure of two normal variables, and impact that is hardly likelier."""
+
+    outcomes = ("safe", "impact", "failure")
+    causes = ("",)
+    margins = ()
+    impossible = ()
+    releases_gil = True
+
+    def run(self, X):
+        g = 2.0 - X[:, 0] - 0.3 * np.sin(2.0 * X[:, 1])
+        outcome = np.digitize(-g, [-0.1, 0.0]).astype(np.int8)
+        return Results(outcome, np.zeros(len(X), dtype=np.int8), np.empty((len(X), 0)), np.zeros(len(X)))
+
+
+def test_the_same_fresh_simulations_answer_for_all_outcomes_and_no_worse_one_is_likelier() -> None:
+    normal = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
+    keys = {"space": {"x": normal, "y": normal}, "sampling.initial": 60, "sampling.budget": 60}
+    campaign = Campaign.of(CampaignSettings().changed({**keys, "classifier.features": "design"}), simulator=Nearly())
+    store, question = MemoryStore(campaign.schema), Question.of_space(campaign.space)
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, 60)
+        classifier = current(campaign, store, write=False).classifier
+        common = campaign, store, classifier, History.of(store.batches).last_iteration
+        estimator = Estimator(campaign, store, executor, *common[2:])
+        for draw in (0, 4):
+            asked = question.drawn(draw) if draw else question
+            failure, impact = (estimator.sample(one, 40, asked).estimate(0.9) for one in ("failure", "impact"))
+            assert failure.probability <= impact.probability
+            assert failure.low <= impact.low
+            assert failure.high <= impact.high
+            assert stored_estimate(*common, "impact", 0.9, asked) == impact
+    assert set(store.set_names()) == {"probability-1-0-40-0"}
