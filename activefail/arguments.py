@@ -79,7 +79,7 @@ def rows_named(results: "ResultTable") -> Iterator[None]:
     Raises:
         InputError: in place of a RowError.
     """
-    from activefail.loop.asking import RowError
+    from activefail.loop.telling import RowError
 
     try:
         yield

@@ -27,7 +27,7 @@ from activefail.errors import InputError, StoreError
 from activefail.files import path_of, writing_to
 from activefail.findings.summary import Summary
 from activefail.interrupts import stop_on_signals
-from activefail.loop.history import History, first_simulations
+from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES
@@ -61,8 +61,7 @@ if TYPE_CHECKING:
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
     from activefail.loop.in_flight import HandedOut
-    from activefail.loop.learning import Learned, Memory
-    from activefail.record.batch import Batch
+    from activefail.loop.learning import Learned
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.risk.design.findings import DesignFindings
@@ -120,7 +119,6 @@ class Run:
         self._turn = threading.RLock()
         self._learned: Learned | None = None
         self._predicts: SavedClassifier | None = None
-        self._memory: Memory | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -153,14 +151,14 @@ class Run:
     @property
     def summary(self) -> Summary:
         """The state of the campaign in counts."""
-        return self._summary_of(self.store.batches)
+        return self._summary_of(self.history)
 
     def summary_after(self, simulations: int) -> Summary:
         """The state of the campaign after its first simulations, in counts."""
         return self._summary_of(self._first(simulations))
 
-    def _summary_of(self, batches: "Sequence[Batch]") -> Summary:
-        return Summary.of(self.settings, self.campaign.schema, batches, self.store.asked)
+    def _summary_of(self, history: History) -> Summary:
+        return Summary.of(self.settings, self.campaign.schema, history, self.store.asked)
 
     def resume_command(
         self,
@@ -282,7 +280,7 @@ class Run:
             The columns of `in_flight`. If there are not n, `attrs["reason"]` says why; otherwise it is empty.
 
         Raises:
-            InputError: if n is no whole number or below 1, or the campaign is asynchronous.
+            InputError: if n is no whole number or below 1.
             StoreError: if the run is not open for writing, or the designs cannot be recorded.
 
         Example:
@@ -295,7 +293,8 @@ class Run:
         check_whole("n", n, 1)
         with self._turn, one_thread():
             budget = None if beyond else self.settings.sampling.budget
-            proposed = ask(self.campaign, self.store, n, budget, ignore_stop, self._remembered)
+            proposed = ask(self.campaign, self.store, n, budget, ignore_stop, self._learned)
+            self._learned = proposed.learned or self._learned
         frame = designs_frame(self.campaign, proposed.designs)
         frame.attrs["reason"] = proposed.reason
         return frame
@@ -323,22 +322,22 @@ class Run:
             InputError: naming row, column, rule and value.
             StoreError: if the run is not open for writing, or the results cannot be recorded.
         """
-        from activefail.loop import asking
+        from activefail.loop import telling
 
         checked = table_of(table)
         if not checked.rows:
             return 0
         with self._turn:
             result_table, handed_out = self._told(checked)
-            former = (self.campaign, self.store, result_table.ids, result_table.results, handed_out)
-            warn = self._warner(result_table, asking.lost_margins(*former) if correct else ())
+            former = (self.campaign, result_table.ids, result_table.results, handed_out)
+            warn = self._warner(result_table, telling.lost_margins(*former) if correct else ())
             with rows_named(result_table):
-                record = asking.correct if correct else asking.tell
-                new = record(self.campaign, self.store, result_table.ids, result_table.results, handed_out, warn)
-            self._learned = self._predicts = None
+                record = telling.correct if correct else telling.tell
+                new = record(self.campaign, self.store, result_table.ids, result_table.results, warn)
+            self._predicts = None
             if correct:
                 # It learned from the former results.
-                self._memory = None
+                self._learned = None
         return new
 
     def is_told(self, table: Any) -> bool:
@@ -350,18 +349,18 @@ class Run:
         Raises:
             InputError: as `tell` does.
         """
-        from activefail.loop.asking import new_results
+        from activefail.loop.telling import new_results
 
         result_table, handed_out = self._told(table_of(table))
         with rows_named(result_table):
-            return not new_results(self.campaign, self.store, result_table.ids, result_table.results, handed_out)
+            return not new_results(self.campaign, result_table.ids, result_table.results, handed_out)
 
     def _told(self, table: "Table") -> "tuple[ResultTable, HandedOut]":
         """The results in a table, with designs as they were handed out, and the designs of the record."""
         from activefail.campaign.results_table import ResultTable
 
         result_table, handed_out = ResultTable.told(self.campaign, table), self.handed_out
-        ids = np.concatenate([handed_out.asked.id, handed_out.ids])
+        ids = np.concatenate([handed_out.asked.id, handed_out.history.id])
         designs = handed_out.history.designs.reshape(-1, self.space.dimension)
         result_table.check_handed_out(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
         return result_table, handed_out
@@ -379,7 +378,7 @@ class Run:
             InputError: if an id is unknown or has a result; nothing is dropped then.
             StoreError: if the run is not open for writing, or this cannot be recorded.
         """
-        from activefail.loop.asking import drop
+        from activefail.loop.telling import drop
 
         if isinstance(ids, Iterable) and not isinstance(ids, str | bytes | np.ndarray):
             ids = list(ids)
@@ -408,7 +407,7 @@ class Run:
             StoreError: if the run is not open for writing, or they cannot be recorded.
         """
         from activefail.campaign.results_table import ResultTable
-        from activefail.loop.asking import add
+        from activefail.loop.telling import add
 
         checked = table_of(table)
         if not checked.rows:
@@ -418,7 +417,7 @@ class Run:
             warn = self._warner(added)
             with rows_named(added):
                 new = add(self.campaign, self.store, added.designs, added.results, warn)
-            self._learned = self._predicts = None
+            self._predicts = None
         return new
 
     def _warner(self, results: "ResultTable", others: "Sequence[str]" = ()) -> Callable[[], None]:
@@ -491,7 +490,7 @@ class Run:
         executor_options: str,
     ) -> Taken:
         from activefail.findings.ending import how_stop_rule_was_met, too_small_for_rule
-        from activefail.loop.batches import run
+        from activefail.loop.running import run
 
         target = self.settings.sampling.budget if budget is None else budget
         # It follows the advice to fix the simulator.
@@ -510,8 +509,8 @@ class Run:
                 )
             finally:
                 # The loop recorded results and saved newer states, also if it failed later.
-                self._learned = self._predicts = self._memory = None
-        progress = standing(self.campaign, self.store.batches, target)
+                self._learned = self._predicts = None
+        progress = standing(self.campaign, self.history, target)
         stop_rule = how_stop_rule_was_met(self.settings, progress.done) if finished and progress.done < target else ""
         if finished and not stop_rule and self.settings.probability_rule is not None:
             looks = self.learn().looks
@@ -532,21 +531,16 @@ class Run:
         Raises:
             InputError: if no simulation has an outcome.
         """
-        from activefail.loop.asynchronous import learned_so_far
         from activefail.loop.learning import current
 
         with self._turn:
-            if self._learned is not None:
-                return self._learned
-            if not len(self.history):
+            if not (simulations := len(self.history)):
                 how = how_to_continue(self.folder, self.campaign)
                 raise InputError(f"{self.folder}: has no simulations to learn from yet; {how}.")
-            stage("learning")
-            with one_thread():
-                if self.settings.sampling.asynchronous:
-                    self._learned = learned_so_far(self.campaign, self.store, self._write)
-                else:
-                    self._learned = current(self.campaign, self.store, self._write, self._remembered)
+            if self._learned is None or self._learned.simulations < simulations:
+                stage("learning")
+                with one_thread():
+                    self._learned = current(self.campaign, self.store, self._write, self._learned)
             return self._learned
 
     def _predicting(self, after: int | None = None) -> "SavedClassifier":
@@ -560,20 +554,12 @@ class Run:
         if after is not None:
             return SavedClassifier.of(self.classifier_after(after))
         with self._turn:
-            if self._predicts is None and self._learned is None and len(self.history):
+            if self._predicts is None and len(self.history):
                 with one_thread_of_blas():
                     self._predicts = saved_current(self.campaign, self.store)
             if self._predicts is None:
                 self._predicts = SavedClassifier.of(self.classifier)
             return self._predicts
-
-    @property
-    def _remembered(self) -> "Memory":
-        from activefail.loop.learning import Memory
-
-        if self._memory is None:
-            self._memory = Memory()
-        return self._memory
 
     def classifier_after(self, simulations: int) -> "Classifier":
         """The classifier of the first simulations, numerical failures included.
@@ -592,7 +578,7 @@ class Run:
         with one_thread():
             return classifier_after(self.campaign, first)
 
-    def _first(self, simulations: int) -> "tuple[Batch, ...]":
+    def _first(self, simulations: int) -> History:
         check_whole("after", simulations, 1)
         history = self.history
         if not history.answered.any():
@@ -605,7 +591,7 @@ class Run:
                 f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
                 f"the number of recorded simulations, got {simulations}."
             )
-        return first_simulations(self.store.batches, simulations)
+        return history[:simulations]
 
     @property
     def learned_from(self) -> list[str]:

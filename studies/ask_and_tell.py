@@ -40,7 +40,7 @@ from study import asked, campaign_of, head, line
 import activefail as af
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
-from activefail.loop.batches import run as run_loop
+from activefail.loop.running import run as run_loop
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE
 from activefail.simulators.interface import Results
@@ -113,7 +113,7 @@ def filled(folder, campaign, n):
     tell(run, run.ask(min(n, INITIAL)))
     if n > INITIAL:
         rest = campaign.space.latin_hypercube(n - INITIAL, np.random.default_rng([campaign.settings.seed, n]))
-        run.store.write_asked(run.store.asked.and_then(Asked.of(np.arange(INITIAL, n), rest, ACTIVE, 0)))
+        run.store.hand_out(Asked.of(np.arange(INITIAL, n), rest, ACTIVE, 0))
         designs = run.in_flight
         for first in range(0, len(designs), ROWS_OF_A_TABLE):
             tell(run, designs[first : first + ROWS_OF_A_TABLE])

@@ -17,7 +17,7 @@ from study import asked, head, line
 from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.findings.results import findings_of
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
 from activefail.surrogate.threads import one_thread
 
 GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}
@@ -59,7 +59,7 @@ def main():
     options = asked(__doc__, run=Path("runs/bearing"), n=50)
     with one_thread():
         with open_campaign(options.run, write=False) as (campaign, store):
-            classifier = current_classifier(campaign, store, write=False)
+            classifier = current(campaign, store, write=False).classifier
             answers = Answers(findings_of(options.run, campaign, store, classifier))
         designs = campaign.space.latin_hypercube(options.n, np.random.default_rng(0)).tolist()
         few = designs[: max(2, options.n // 5)]

@@ -17,7 +17,7 @@ from study import asked, head, line, percent, uniform
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE
 from activefail.campaign.on_disk import open_campaign
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
 
 DISTANCES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 COPIES = 4
@@ -39,7 +39,7 @@ def displaced(U, distance, rng):
 def wrong_designs(folder, X, failed):
     """Whether the classifier of a run folder puts a design on the wrong side of the failure boundary, (n,) bool."""
     with open_campaign(folder, write=False) as (campaign, store):
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
     return (classifier.latent("failure").moments(classifier.features(X)).mean > 0.0) != failed
 
 

@@ -48,7 +48,7 @@ def batch(number, size):
     rng = np.random.default_rng(number)
     codes, origin = np.zeros(size, dtype=np.int8), np.full(size, INITIAL if number * size < 250 else ACTIVE, np.int8)
     answers = Results(rng.integers(0, 2, size).astype(np.int8), codes, rng.random((size, MARGINS)), rng.random(size))
-    return Batch(number, rng.random((size, VARIABLES)), origin, answers)
+    return Batch(number, number * size + np.arange(size), rng.random((size, VARIABLES)), origin, answers)
 
 
 def numbers_of(one):

@@ -17,8 +17,8 @@ import numpy as np
 from study import asked, campaign_of, head, line
 
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
 from activefail.loop.progress import Observer
+from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 

@@ -17,11 +17,10 @@ from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.asynchronous import learned_so_far
-from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.probability_rule import Looks
+from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.record.store import Store
 from activefail.surrogate.classifier import Classifier
@@ -168,8 +167,7 @@ def in_memory(campaign, executor=None):
     store = MemoryStore(campaign.schema)
     with executor or ThreadExecutor(1) as workers:
         run(campaign, store, workers, campaign.settings.sampling.budget)
-    known = learned_so_far if campaign.settings.sampling.asynchronous else current
-    learned = known(campaign, store, write=False)
+    learned = current(campaign, store, write=False)
     return Learned(campaign, store, History.of(store.batches), learned.classifier, learned.looks)
 
 

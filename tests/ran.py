@@ -8,8 +8,8 @@ from campaign.stub import Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
+from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
@@ -31,4 +31,4 @@ def ran() -> Run:
         run(campaign, store, executor, 40)
     assert any(np.any(batch.results.outcome < 0) for batch in store.batches)
     with one_thread():
-        return Run(campaign, store, current_classifier(campaign, store, write=False))
+        return Run(campaign, store, current(campaign, store, write=False).classifier)

@@ -30,8 +30,8 @@ from activefail.campaign.settings import read_settings
 from activefail.cli import app
 from activefail.execution.local import ThreadExecutor
 from activefail.interrupts import stop_on_signals
-from activefail.loop.batches import run as run_loop
 from activefail.loop.progress import Observer
+from activefail.loop.running import run as run_loop
 from activefail.record.run_folder import FolderStore
 
 COMMANDS = tuple(typer.main.get_group(app).commands)

@@ -12,7 +12,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.correlation import nataf_factor
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
+from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results

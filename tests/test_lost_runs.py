@@ -15,9 +15,9 @@ from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
 from activefail.findings.lost import where_lost
 from activefail.findings.probability import ProbabilityFindings
-from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
+from activefail.loop.running import run
 from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import BoundariesOf, OfBoundary, integrate

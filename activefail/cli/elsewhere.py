@@ -51,7 +51,7 @@ def create(
     print(f"created    {visible(str(out))}")
     made = created.campaign
     print(f"continue   {visible(continue_command(out, made))}")
-    if not (made.is_elsewhere or made.settings.sampling.asynchronous):
+    if not made.is_elsewhere:
         print(f"           {visible(ask_command(out, made))}, to have designs simulated elsewhere")
 
 

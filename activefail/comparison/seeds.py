@@ -172,7 +172,7 @@ def _campaign_rows(
 ) -> Iterator[tuple[int, History]]:
     """Run a campaign to its last checkpoint; yields size and simulations at each. Nothing if stopped."""
     # Loads torch, which what draws learning curves does without.
-    from activefail.loop.batches import run
+    from activefail.loop.running import run
 
     if not (folder / SETTINGS).exists():
         create_folder(folder, campaign).close()

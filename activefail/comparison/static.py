@@ -15,7 +15,7 @@ from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
 from activefail.loop.history import History
-from activefail.loop.initial import initial_sets
+from activefail.loop.initial import initial_size
 from activefail.loop.learning import learn_from
 from activefail.record.batch import GIVEN
 from activefail.record.store import Store
@@ -191,7 +191,7 @@ def compare(
     done = len(history)
     if done < 2:
         raise InputError("The campaign has no simulations to compare yet.")
-    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
+    initial = initial_size(campaign, history)
     budgets = budgets or default_budgets(min(initial, done), done)
     for n in budgets:
         if not 2 <= n <= done:

@@ -9,7 +9,7 @@ import numpy as np
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.errors import InputError
 from activefail.findings.tables import exported_columns, exported_names, result_columns
-from activefail.loop.in_flight import HandedOut
+from activefail.loop.history import History
 from activefail.record.asked import Asked
 from activefail.record.store import Store
 from activefail.space import Array
@@ -46,7 +46,7 @@ def corrections_frame(campaign: Campaign, store: Store) -> "DataFrame":
     import pandas as pd
 
     corrections = store.corrections
-    columns: dict[str, Any] = {"id": HandedOut.of(store).ids[corrections.place]}
+    columns: dict[str, Any] = {"id": History.of(store.batches).id[corrections.place]}
     for prefix, results in (("former_", corrections.former), ("", corrections.results)):
         columns |= {prefix + name: column for name, column in result_columns(campaign, results).items()}
     return pd.DataFrame(columns)

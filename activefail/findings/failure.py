@@ -11,7 +11,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.findings.probability import ProbabilityFindings, bound_without_model
 from activefail.loop.history import History
-from activefail.loop.initial import initial_sets
+from activefail.loop.initial import initial_size
 from activefail.loop.learning import Learned, learn_from
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
@@ -119,7 +119,7 @@ def failure_findings(
 def _sizes(campaign: Campaign, history: History) -> list[int]:
     """Numbers of simulations at the ends of some batches, from the initial design on."""
     ends = 1 + np.flatnonzero(np.diff(history.iteration, append=history.last_iteration + 1))
-    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
+    initial = initial_size(campaign, history)
     ends = ends[ends >= min(initial, len(history))]
     shown = np.unique(np.linspace(0, len(ends) - 1, min(_POINTS, len(ends))).round().astype(int))
     return [int(n) for n in ends[shown] if history[:n].answered.any()]

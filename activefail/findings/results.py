@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import words
-from activefail.loop.in_flight import HandedOut
+from activefail.loop.history import History
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.simulators.bearing import DfpSimulator
@@ -94,8 +94,7 @@ class Findings:
 
 def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
     """The findings of a campaign with at least one simulation."""
-    handed_out = HandedOut.of(store)
-    history = handed_out.history
+    history = History.of(store.batches)
     pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
     return Findings(
         folder,
@@ -105,7 +104,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
         history.outcome,
         history.iteration,
         history.origin,
-        handed_out.ids,
+        history.id,
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),

@@ -11,6 +11,7 @@ from activefail.campaign.known_code import known_code
 from activefail.campaign.settings import read_settings
 from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
 from activefail.findings.summary import Summary, features_in_words
+from activefail.loop.history import History
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
@@ -184,9 +185,9 @@ class Status:
     @property
     def _asking(self) -> list[tuple[str, str]]:
         """How to continue a campaign whose simulations are made elsewhere."""
-        settings, folder, flight = self.summary.settings, quoted(self.folder), self.summary.in_flight
+        settings, folder, summary = self.summary.settings, quoted(self.folder), self.summary
         lines = self._telling
-        if self.summary.done + len(flight) < settings.sampling.budget:
+        if summary.done + len(summary.in_flight) < settings.sampling.budget:
             ignoring = " --ignore-stop" if self._rule_is_met else ""
             lines.append(f"activefail ask {folder} --n {settings.sampling.batch} --csv todo.csv{ignoring}")
         return [("continue" if number == 0 else "", line) for number, line in enumerate(lines)]
@@ -197,7 +198,7 @@ class Status:
         settings = self.summary.settings
         if settings.is_elsewhere:
             return self._asking
-        if self.summary.done + len(self.summary.in_flight) >= settings.sampling.budget:
+        if self.summary.done + self.summary.elsewhere >= settings.sampling.budget:
             return [("continue", text) for text in self._telling]
         known = known_code(self.folder) if settings.needs_code else None
         if settings.needs_code and known is None:
@@ -218,9 +219,9 @@ class Status:
 
     @property
     def _telling(self) -> list[str]:
-        """The command for designs in flight; empty without any."""
+        """The command for designs that are simulated elsewhere; empty without any."""
         command = f"activefail tell {quoted(self.folder)} --csv answers.csv"
-        return [command] if self.summary.in_flight else []
+        return [command] if self.summary.elsewhere else []
 
 
 def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:
@@ -238,7 +239,8 @@ def read_status(folder: Path) -> Status:
     check_run_folder(folder)
     settings = read_settings(folder / SETTINGS)
     with FolderStore.open(folder, write=False) as store:
-        summary = Summary.of(settings, store.schema, store.batches, store.asked, len(store.corrections.place))
+        history = History.of(store.batches)
+        summary = Summary.of(settings, store.schema, history, store.asked, len(store.corrections.place))
         saved, iteration = store.latest_state(), summary.iteration
         state = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in store.schema.outcomes[1:]}

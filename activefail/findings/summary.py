@@ -16,10 +16,10 @@ from activefail.campaign.sections import (
 )
 from activefail.campaign.settings import CampaignSettings
 from activefail.findings.lost import where_lost
-from activefail.record.asked import NO_ROW, Asked, rows_with_results
-from activefail.record.batch import GIVEN, INITIAL, Batch, Schema
+from activefail.loop.history import History
+from activefail.record.asked import Asked
+from activefail.record.batch import GIVEN, Schema
 from activefail.shares import percent
-from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.verification.unseen import unseen_outcomes, unseen_warning
 from activefail.visible import visible
 
@@ -63,6 +63,7 @@ class Summary:
         initial, chosen, given: (number of outcomes + 1,) recorded simulations of the initial design, those that the
             campaign chose, and those that it did not ask for, by outcome, numerical failures last.
         in_flight: ids of the designs in flight.
+        elsewhere: how many of them are simulated elsewhere.
         margins: names of the margins.
         corrected: number of corrections.
         lost: where runs gave no result; empty if all gave one.
@@ -78,6 +79,7 @@ class Summary:
     margins: tuple[str, ...] = ()
     corrected: int = 0
     lost: str = ""
+    elsewhere: int = 0
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -141,33 +143,28 @@ class Summary:
         return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
-    def of(
-        cls,
-        settings: CampaignSettings,
-        schema: Schema,
-        batches: Sequence[Batch],
-        asked: Asked,
-        corrected: int = 0,
-    ) -> Self:
-        """The summary of a campaign's batches and the designs that were handed out.
+    def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked, corrected: int = 0) -> Self:
+        """The summary of a campaign's simulations and the designs that were handed out.
 
         Args:
             settings: of the campaign.
-            schema, batches, asked: of the record.
+            schema, history, asked: of the record.
             corrected: number of its corrections.
         """
-        none = np.empty(0, dtype=np.int8)
-        outcome = np.concatenate([none, *(batch.results.outcome for batch in batches)])
-        origin = np.concatenate([none, *(batch.origin for batch in batches)])
+        flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
+        initial, given = history.initial, history.origin == GIVEN
         return cls(
             settings,
             _shown(schema.outcomes),
-            batches[-1].iteration if batches else 0,
-            *_by_origin(outcome, origin, len(schema.outcomes)),
-            _in_flight(asked, batches),
+            history.last_iteration,
+            _counts(history[initial], outcomes),
+            _counts(history[~initial & ~given], outcomes),
+            _counts(history[given], outcomes),
+            tuple(flight.id.tolist()),
             schema.margins,
             corrected,
-            _where_lost(schema.variables, batches),
+            where_lost(schema.variables, history.designs, ~history.answered),
+            int((flight.loop == 0).sum()),
         )
 
 
@@ -175,33 +172,6 @@ def _shown(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(map(visible, names))
 
 
-def _by_origin(
-    outcome: NDArray[np.int8], origin: NDArray[np.int8], outcomes: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The counts of the initial design, of chosen and of given simulations."""
-    initial, given = origin == INITIAL, origin == GIVEN
-    return (
-        _counts(outcome[initial], outcomes),
-        _counts(outcome[~initial & ~given], outcomes),
-        _counts(outcome[given], outcomes),
-    )
-
-
-def _in_flight(asked: Asked, batches: Sequence[Batch]) -> tuple[int, ...]:
-    """The ids of the designs in flight."""
-    designs = np.concatenate([np.empty((0, asked.designs.shape[1])), *(batch.designs for batch in batches)])
-    origin = np.concatenate([np.empty(0, dtype=np.int8), *(batch.origin for batch in batches)])
-    waiting = (rows_with_results(asked, designs, origin) == NO_ROW) & (asked.dropped == 0)
-    return tuple(asked.id[waiting].tolist())
-
-
-def _where_lost(names: Sequence[str], batches: Sequence[Batch]) -> str:
-    lost = [batch.results.outcome == NUMERICAL_FAILURE for batch in batches]
-    if not any(one.any() for one in lost):
-        return ""
-    return where_lost(names, np.concatenate([batch.designs for batch in batches]), np.concatenate(lost))
-
-
-def _counts(outcome: NDArray[np.int8], outcomes: int) -> NDArray[np.int64]:
-    answered = outcome[outcome != NUMERICAL_FAILURE]
-    return np.append(np.bincount(answered, minlength=outcomes), len(outcome) - len(answered))
+def _counts(history: History, outcomes: int) -> NDArray[np.int64]:
+    """Simulations by outcome, then the numerical failures, (outcomes + 1,)."""
+    return np.append(history.counts(outcomes), len(history.failed_designs))

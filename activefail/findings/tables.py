@@ -12,7 +12,6 @@ from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import DesignTable, Source, Target, rereadable, writing
 from activefail.errors import InputError
-from activefail.loop.in_flight import HandedOut
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
@@ -157,16 +156,13 @@ def exported_columns(campaign: Campaign, store: Store) -> Iterator[dict[str, Col
 
     A column is (n,) numbers, where an undefined margin is NaN, or n texts, where a simulation without a cause has "".
     """
-    ids = HandedOut.of(store).ids
-    first = 0
     for batch in store.batches:
-        yield _columns(campaign, batch, ids[first : first + len(batch)])
-        first += len(batch)
+        yield _columns(campaign, batch)
 
 
-def _columns(campaign: Campaign, batch: Batch, ids: NDArray[np.int64]) -> dict[str, Column]:
+def _columns(campaign: Campaign, batch: Batch) -> dict[str, Column]:
     columns: tuple[Column, ...] = (
-        ids,
+        batch.id,
         np.full(len(batch), batch.iteration),
         [_ORIGINS[origin] for origin in batch.origin.tolist()],
         *batch.designs.T,

@@ -1,7 +1,7 @@
 """The simulations of a campaign as arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -12,22 +12,12 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
 
-def first_simulations(batches: Sequence[Batch], number: int) -> tuple[Batch, ...]:
-    """The batches of the first simulations of a record; the last one may be a part of a batch."""
-    first: list[Batch] = []
-    for batch in batches:
-        if (left := number - sum(map(len, first))) <= 0:
-            break
-        rows = slice(left)
-        first.append(Batch(batch.iteration, batch.designs[rows], batch.origin[rows], batch.results[rows]))
-    return tuple(first)
-
-
 @dataclass(frozen=True, eq=False)
 class History:
     """The n simulations of a record, in its order, including numerical failures.
 
     Attributes:
+        id: (n,) int64, of each design.
         designs: (n, d), in the variables' units; (0, 0) for an empty record.
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
@@ -36,6 +26,7 @@ class History:
         cause: (n,) int8, code of what decided the outcome, or of why there is none.
     """
 
+    id: NDArray[np.int64]
     designs: Array
     outcome: NDArray[np.int8]
     iteration: NDArray[np.int64]
@@ -47,9 +38,10 @@ class History:
     def of(cls, batches: Sequence[Batch]) -> Self:
         """The history of some batches."""
         if not batches:
-            none = np.empty(0, dtype=np.int8)
-            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none, np.empty((0, 0)), none)
+            none, ids = np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int64)
+            return cls(ids, np.empty((0, 0)), none, ids, none, np.empty((0, 0)), none)
         return cls(
+            np.concatenate([batch.id for batch in batches]),
             np.concatenate([batch.designs for batch in batches]),
             np.concatenate([batch.results.outcome for batch in batches]),
             np.repeat([batch.iteration for batch in batches], [len(batch) for batch in batches]),
@@ -63,20 +55,15 @@ class History:
         """The history of designs, (n, d), that were simulated together, like an initial design."""
         n = len(X)
         origin = np.full(n, INITIAL, dtype=np.int8)
-        return cls(X, results.outcome, np.zeros(n, dtype=np.int64), origin, results.margins, results.cause)
+        return cls(
+            np.arange(n), X, results.outcome, np.zeros(n, dtype=np.int64), origin, results.margins, results.cause
+        )
 
     def __len__(self) -> int:
         return len(self.outcome)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
-        return type(self)(
-            self.designs[rows],
-            self.outcome[rows],
-            self.iteration[rows],
-            self.origin[rows],
-            self.margins[rows],
-            self.cause[rows],
-        )
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def through(self, iteration: int) -> Self:
         """The simulations of the batches up to an iteration."""

@@ -8,12 +8,13 @@ from activefail.loop.history import History
 from activefail.space import Array
 
 
-def initial_sets(campaign: Campaign, history: History) -> int:
-    """How many Latin hypercubes the record needs: one, plus one for each in which every simulation failed.
+def initial_size(campaign: Campaign, history: History) -> int:
+    """Number of designs of the initial design: a Latin hypercube, and one more for each that failed completely.
 
     A campaign stops after such a hypercube; once the simulator is fixed and the campaign resumes, it needs another.
     """
-    return 1 + history.leading_failures // campaign.settings.sampling.initial
+    size = campaign.settings.sampling.initial
+    return size * (1 + history.leading_failures // size)
 
 
 def initial_designs(campaign: Campaign, sets: int = 1) -> Array:

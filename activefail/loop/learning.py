@@ -1,7 +1,7 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.loop.history import History
-from activefail.loop.probability_rule import Looks, check_looks, looked, looks_from_state, looks_state
-from activefail.record.batch import Batch
+from activefail.loop.probability_rule import Looks, looked, looks_from_state, looks_state
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
 from activefail.space import Array
@@ -21,12 +20,6 @@ from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import condition, fit, objective
 from activefail.surrogate.saved import SavedClassifier
 from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
-
-
-def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier | None) -> Classifier:
-    """The classifier of an iteration, trained on the initial design and the first `iteration` active batches."""
-    return learn_from(campaign, history.through(iteration), warm)
-
 
 STARTED_AFRESH = 250
 """Most simulations for which hyperparameters are learned from several starts: 0.1 to 0.5 s for each further one.
@@ -109,42 +102,28 @@ AnyClassifier = TypeVar("AnyClassifier", Classifier, SavedClassifier)
 
 
 def restore(
-    campaign: Campaign,
-    store: Store,
-    through: int,
-    check: Callable[[int, Mapping[str, NDArray[Any]]], None] = lambda iteration, state: None,
-) -> tuple[int, dict[str, NDArray[Any]], Classifier] | None:
-    """The newest valid state up to iteration `through`: its iteration, arrays and classifier; None if there is none.
+    campaign: Campaign, store: Store, through: int, build: Callable[..., AnyClassifier]
+) -> tuple[int, Looks, AnyClassifier] | None:
+    """The newest valid state up to iteration `through`: its iteration, looks and classifier; None if there is none.
 
     Args:
         campaign: the campaign of the state.
         store: the store that holds it.
         through: the last recorded iteration.
-        check: further check of a state; raises DamagedError.
+        build: `classifier_from_state`, or `saved_classifier` for predictions alone.
     """
-    return _restored(campaign, store, through, check, classifier_from_state)
-
-
-def _restored(
-    campaign: Campaign,
-    store: Store,
-    through: int,
-    check: Callable[[int, Mapping[str, NDArray[Any]]], None],
-    build: Callable[..., AnyClassifier],
-) -> tuple[int, dict[str, NDArray[Any]], AnyClassifier] | None:
-    """As `restore`; `build` takes the arguments of `classifier_from_state`."""
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
         history = History.of(store.batches).through(iteration)
         known = history.training
         try:
-            check(iteration, state)
+            looks = looks_from_state(campaign, state)
             margins = margins_of(campaign, known)
             classifier = build(state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins)
             if isinstance(classifier, Classifier):
                 classifier = with_lost(campaign, classifier, history)
-            return iteration, state, classifier
+            return iteration, looks, classifier
         # Whatever is wrong with a state, the record teaches the same again.
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, DamagedError) as error:
             store.reject_state(iteration, f"cannot be used ({type(error).__name__})")
@@ -153,52 +132,42 @@ def _restored(
 
 @dataclass(frozen=True)
 class Learned:
-    """What a campaign with batches has learned after an iteration.
+    """What a campaign has learned after an iteration.
 
     Attributes:
-        classifier: trained on all batches through the iteration.
+        iteration: the last one that it has learned from.
+        simulations: number of simulations through this iteration.
+        classifier: trained on them.
         looks: of its stop rule for a probability, if it has one.
     """
 
+    iteration: int
+    simulations: int
     classifier: Classifier
     looks: Looks = field(default_factory=Looks)
 
     @classmethod
     def after(cls, campaign: Campaign, history: History, iteration: int, before: Self | None) -> Self:
-        """What is learned from the initial design and the first `iteration` active batches, `before` from one fewer."""
+        """What is learned from the simulations through an iteration, `before` from those through the one before."""
         earlier = None if before is None else before.classifier
-        classifier = learn(campaign, history, iteration, earlier)
-        if campaign.settings.probability_rule is None:
-            return cls(classifier)
+        known = history.through(iteration)
+        classifier = learn_from(campaign, known, earlier)
         looks = Looks() if before is None else before.looks
-        return cls(classifier, looked(campaign, history.through(iteration), iteration, earlier, classifier, looks))
+        if campaign.settings.probability_rule is not None:
+            looks = looked(campaign, known, iteration, earlier, classifier, looks)
+        return cls(iteration, len(known), classifier, looks)
 
     @property
     def state(self) -> dict[str, NDArray[Any]]:
         """The arrays of a saved state."""
         return classifier_state(self.classifier) | looks_state(self.looks)
 
-
-@dataclass
-class Memory:
-    """What a process has learned last, which need not be restored from a saved state.
-
-    Attributes:
-        iteration: the last one that it has learned from.
-        simulations: number of simulations through this iteration.
-        learned: None if nothing was learned yet.
-    """
-
-    iteration: int = -1
-    simulations: int = 0
-    learned: Learned | None = None
-
     def holds(self, history: History) -> bool:
         """Whether this was learned from the beginning of a record; not if its iteration got another batch since."""
-        return self.learned is not None and self.simulations == int((history.iteration <= self.iteration).sum())
+        return self.simulations == len(history.through(self.iteration))
 
 
-def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None = None) -> Learned:
+def current(campaign: Campaign, store: Store, write: bool, before: Learned | None = None) -> Learned:
     """What a campaign has learned from all recorded batches, bit for bit as in the running loop.
 
     It starts from the last saved state and retrains on the later batches in the same order, from the same starts.
@@ -207,52 +176,42 @@ def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None
         campaign: the campaign.
         store: its record.
         write: whether to save the retrained states.
-        memory: takes the place of the last saved state, and remembers what is learned.
+        before: learned earlier from this record, before any correction; takes the place of the last saved state.
     """
     history = History.of(store.batches)
-    last = history.last_iteration
-    memory = Memory() if memory is None else memory
-    iteration, learned = -1, None
-    if memory.holds(history):
-        iteration, learned = memory.iteration, memory.learned
-    elif (saved := restore(campaign, store, last, lambda _, state: check_looks(campaign, state))) is not None:
-        iteration, learned = saved[0], Learned(saved[2], looks_from_state(saved[1]))
-    for later in range(max(iteration + 1, history.first_learnable), last + 1):
-        learned = Learned.after(campaign, history, later, learned)
+    learned = before
+    if learned is None or not learned.holds(history):
+        saved = restore(campaign, store, history.last_iteration, classifier_from_state)
+        learned = None if saved is None else Learned(saved[0], len(history.through(saved[0])), saved[2], saved[1])
+    first = history.first_learnable if learned is None else learned.iteration + 1
+    for iteration in range(first, history.last_iteration + 1):
+        learned = Learned.after(campaign, history, iteration, learned)
         if write:
-            store.write_state(later, learned.state)
+            store.write_state(iteration, learned.state)
     assert learned is not None
-    # In this order: interrupted between two of them, the memory does not hold.
-    memory.simulations, memory.learned, memory.iteration = len(history), learned, last
     return learned
 
 
 def saved_current(campaign: Campaign, store: Store) -> SavedClassifier | None:
     """The classifier of all recorded batches, for predictions alone; None if no saved state holds it."""
     last = History.of(store.batches).last_iteration
-    saved = _restored(campaign, store, last, lambda _, state: check_looks(campaign, state), saved_classifier)
+    saved = restore(campaign, store, last, saved_classifier)
     return saved[2] if saved is not None and saved[0] == last else None
 
 
-def classifier_after(campaign: Campaign, batches: Sequence[Batch]) -> Classifier:
-    """The classifier that a campaign had after its first batches, bit for bit if none of them is cut short.
+def classifier_after(campaign: Campaign, history: History) -> Classifier:
+    """The classifier that a campaign had after its first simulations, bit for bit if they end with a batch.
 
     It learns again from each iteration, from the same starts as the running loop: saved states are later ones.
 
     Raises:
         InputError: if no simulation of the initial design has an outcome.
     """
-    history = History.of(batches)
     classifier = None
     for iteration in range(history.first_learnable, history.last_iteration + 1):
-        classifier = learn(campaign, history, iteration, classifier)
+        classifier = learn_from(campaign, history.through(iteration), classifier)
     assert classifier is not None
     return classifier
-
-
-def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
-    """The classifier of `current`."""
-    return current(campaign, store, write).classifier
 
 
 def accuracy(classifier: Classifier, severity: int, X: Array, outcome: NDArray[np.int8]) -> float:

@@ -45,8 +45,7 @@ class Looks:
     Attributes:
         table: (k, 4) simulations, probability, its posterior standard deviation, and the standard error of its
             integration, at each look since the last check.
-        is_known: whether the last batch was a check that contradicted nothing; in an asynchronous campaign, whether
-            all designs that arrived since such a check were in flight at its end.
+        is_known: whether the last iteration held a check that contradicted nothing.
     """
 
     table: Array = field(default_factory=lambda: np.empty((0, 4)))
@@ -140,13 +139,17 @@ def looks_state(looks: Looks) -> dict[str, NDArray[Any]]:
     return {LOOKS: looks.table, KNOWN: np.array(int(looks.is_known))} if len(looks.table) else {}
 
 
-def looks_from_state(state: Mapping[str, NDArray[Any]]) -> Looks:
+def looks_from_state(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> Looks:
     """The looks of a saved state.
 
     Raises:
         DamagedError: if they are not what a campaign saves.
+        KeyError: if the campaign would have saved looks and the state has none.
     """
+    rule = campaign.settings.probability_rule
     if LOOKS not in state:
+        if rule is not None and f"{rule.probability}/unit" in state:
+            raise KeyError(LOOKS)
         return Looks()
     table, known = state[LOOKS], state[KNOWN]
     if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
@@ -154,19 +157,6 @@ def looks_from_state(state: Mapping[str, NDArray[Any]]) -> Looks:
     if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
         raise DamagedError("holds a state of the stop rule that is neither 0 nor 1")
     return Looks(table, bool(known))
-
-
-def check_looks(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> None:
-    """Check the looks of a saved state.
-
-    Raises:
-        DamagedError: as `looks_from_state` does.
-        KeyError: if the campaign would have saved looks and the state has none.
-    """
-    rule = campaign.settings.probability_rule
-    if rule is not None and f"{rule.probability}/unit" in state and LOOKS not in state:
-        raise KeyError(LOOKS)
-    looks_from_state(state)
 
 
 def contradicted(campaign: Campaign, classifier: Classifier, batch: History) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
-from activefail.record.batch import GIVEN, Batch
+from activefail.record.batch import GIVEN
 from activefail.simulators.interface import is_impossible
 from activefail.verification.unseen import unseen_outcomes
 
@@ -68,9 +68,8 @@ class Observer:
     faults: list[str] = field(default_factory=list)
 
 
-def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Progress:
+def standing(campaign: Campaign, history: History, budget: int) -> Progress:
     """Progress from the record alone, without accuracy and time left."""
-    history = History.of(batches)
     outcomes = campaign.simulator.outcomes
     counts = history.counts(len(outcomes))
     impossible = is_impossible(campaign.simulator, history.outcome, history.cause)

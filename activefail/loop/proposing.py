@@ -1,11 +1,19 @@
-"""Propose the active designs of a campaign: those that the criterion ranks highest."""
+"""What a campaign simulates after its initial design: what the criterion ranks highest, or the stop rule's check."""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from activefail.acquisition.batch_proposal import Search, propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
+from activefail.loop.in_flight import HandedOut
+from activefail.loop.learning import Learned
+from activefail.loop.probability_rule import check_designs, needs_check
+from activefail.record.asked import are_among
+from activefail.record.batch import ACTIVE, CHECK
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -15,6 +23,61 @@ WIDENING = 2.0
 """Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.
 
 The design measure alone gives hardly any candidates near a rare failure."""
+
+_ATTEMPTS = 5
+"""Most proposals in place of designs that were handed out or simulated before."""
+
+_LATER = 10**9
+"""Keeps the random streams of repeated proposals apart from those of later ones."""
+
+
+class Chosen(NamedTuple):
+    """Designs, (k, d), and their origin: ACTIVE or CHECK."""
+
+    designs: Array
+    origin: int
+
+
+def propose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int, room: int | None) -> Chosen:
+    """What to simulate next.
+
+    Args:
+        campaign: the campaign.
+        handed_out: its designs; those in flight are taken into account.
+        learned: from all its results.
+        n: number of designs. A check has its own.
+        room: number of simulations left in the budget; None without a limit.
+    """
+    history, asked, flight = handed_out.history, handed_out.asked, handed_out.in_flight
+    # The first proposal after an iteration does not depend on how many designs were handed out before.
+    is_first = not (asked.learned == history.last_iteration).any()
+    name, index = ("propose", history.last_iteration + 1) if is_first else ("ask", int((asked.loop == 0).sum()))
+    rng = stream(campaign.settings.seed, name, index)
+    if needs_check(campaign, history, learned.looks):
+        simulated = np.concatenate([history.designs, flight.designs, asked.dropped_designs])
+        return Chosen(check_designs(campaign, simulated, learned.looks, rng)[:room], CHECK)
+    chosen_before = int((asked.origin == ACTIVE).sum())
+    designs = np.empty((0, campaign.space.dimension))
+    for attempt in range(_ATTEMPTS):
+        pending = [flight.designs, designs]
+        if attempt:
+            # A search may end at the same corner each time, where a design was dropped.
+            pending.append(asked.dropped_designs)
+            rng = stream(campaign.settings.seed, "ask", _LATER * attempt + len(asked))
+        proposed = next_designs(
+            campaign,
+            learned.classifier,
+            history,
+            rng,
+            q=n - len(designs),
+            chosen=chosen_before + len(designs),
+            pending=np.concatenate(pending) if any(map(len, pending)) else None,
+        )
+        known = np.concatenate([history.designs, asked.designs, designs])
+        designs = np.concatenate([designs, proposed[~are_among(proposed, known)]])
+        if len(designs) == n:
+            break
+    return Chosen(designs, ACTIVE)
 
 
 def next_designs(

@@ -26,7 +26,15 @@ GIVEN = 3
 
 
 # Little-endian on every machine: the digests are computed from these bytes.
-COLUMNS = {"designs": "<f8", "origin": "i1", "outcome": "i1", "cause": "i1", "margins": "<f8", "seconds": "<f8"}
+COLUMNS = {
+    "id": "<i8",
+    "designs": "<f8",
+    "origin": "i1",
+    "outcome": "i1",
+    "cause": "i1",
+    "margins": "<f8",
+    "seconds": "<f8",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +43,7 @@ class Batch:
 
     Attributes:
         iteration: iteration of the loop; 0 is the initial design.
+        id: (n,) int64, of the designs: how many entered the campaign before.
         designs: (n, d) float64, in the variables' units; at least one row.
         origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
         results: results of the n designs.
@@ -44,15 +53,16 @@ class Batch:
     """
 
     iteration: int
+    id: NDArray[np.int64]
     designs: Array
     origin: NDArray[np.int8]
     results: Results
 
     def __post_init__(self) -> None:
         n = len(self.results)
-        if self.designs.ndim != 2 or len(self.designs) != n or self.origin.shape != (n,):
-            shapes = (self.designs.shape, self.origin.shape, (n,))
-            raise ValueError(f"A batch needs (n, d) designs, (n,) origins and n results, got shapes {shapes}.")
+        if self.designs.ndim != 2 or {len(self.designs), *self.id.shape, *self.origin.shape} != {n}:
+            shapes = (self.id.shape, self.designs.shape, self.origin.shape, (n,))
+            raise ValueError(f"A batch needs (n,) ids and origins, (n, d) designs and n results, got shapes {shapes}.")
         if n == 0 or self.iteration < 0:
             raise ValueError(f"`designs > 0` and `iteration >= 0` must hold, got {n} and {self.iteration}.")
 
@@ -136,19 +146,22 @@ def results_of(columns: Mapping[str, NDArray[Any]]) -> Results:
 
 def columns_of(batch: Batch) -> dict[str, NDArray[Any]]:
     """All columns of a batch by name."""
-    return {"designs": batch.designs, "origin": batch.origin, **answers_of(batch.results)}
+    return {"id": batch.id, "designs": batch.designs, "origin": batch.origin, **answers_of(batch.results)}
 
 
 def batch_of(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
     """The batch with these columns."""
-    return Batch(iteration, columns["designs"], columns["origin"], results_of(columns))
+    return Batch(iteration, columns["id"], columns["designs"], columns["origin"], results_of(columns))
 
 
-def check_origin(origin: NDArray[Any]) -> None:
-    """Check the type of the origins of a batch.
+def check_rows(batch: Batch) -> None:
+    """Check the ids and origins of a batch.
 
     Raises:
-        InputError: if it is another one.
+        InputError: if they have another type, or an id is negative or occurs twice.
     """
-    if origin.dtype != np.int8:
-        raise InputError(f"`origin` must be int8, got {origin.dtype}.")
+    for name, column in (("id", batch.id), ("origin", batch.origin)):
+        if column.dtype != np.dtype(COLUMNS[name]):
+            raise InputError(f"`{name}` must be {np.dtype(COLUMNS[name]).name}, got {column.dtype}.")
+    if (batch.id < 0).any() or len(np.unique(batch.id)) < len(batch):
+        raise InputError(f"`id` must be different numbers from 0 on, got {batch.id.tolist()}.")

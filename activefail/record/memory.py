@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
 from activefail.record.asked import Asked
-from activefail.record.batch import Batch, Schema, answers_of, batch_of, check_origin, columns_of, results_of
+from activefail.record.batch import Batch, Schema, answers_of, batch_of, check_rows, columns_of, results_of
 from activefail.record.checkpoint import State, States
 from activefail.record.corrections import Corrections, correct_batches, correcting
 from activefail.record.events import Event, of_arrays
@@ -89,13 +89,14 @@ class MemoryStore:
             case "batch":
                 batch = batch_of(int(of["iteration"]), arrays)
                 self.schema.check(batch.designs, batch.results)
+                check_rows(batch)
                 self._batches.append(batch)
                 self._chain.append(hashlib.sha256(f"{self._chain[-1]}{content}".encode()).hexdigest())
                 self._tuple = None
             case "asked":
                 self._asked.append(Asked(**arrays))
             case "dropped":
-                self._asked = [self._handed_out.without(np.isin(self._handed_out.id, arrays["id"]))]
+                self._asked = [self._handed_out.without(arrays["id"])]
             case "corrected":
                 new = correcting(self._batches, arrays["place"], results_of(arrays), self.schema)
                 correct_batches(self._batches, new)
@@ -141,7 +142,7 @@ class MemoryStore:
     def commit(self, batch: Batch) -> None:
         """Append a batch (see Store)."""
         self._writable().check(batch.designs, batch.results)
-        check_origin(batch.origin)
+        check_rows(batch)
         self._record(of_arrays("batch", columns_of(batch), iteration=batch.iteration))
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -181,18 +182,17 @@ class MemoryStore:
         """The designs that were handed out (see Store)."""
         return deepcopy(self._handed_out)
 
-    def write_asked(self, asked: Asked) -> None:
-        """Keep the designs that were handed out (see Store)."""
-        check_asked(asked, self._writable())
-        before, k = self._handed_out, len(self._handed_out)
-        if not before.is_kept_by(asked[:k]):
-            raise InputError("Designs that were handed out must stay in the list, and dropped ones must stay dropped.")
-        events = []
-        if len(asked) > k:
-            events.append(of_arrays("asked", vars(asked[k:])))
-        if (dropped := asked.dropped[:k] > before.dropped).any():
-            events.append(of_arrays("dropped", {"id": before.id[dropped]}))
-        self._record(*events)
+    def hand_out(self, designs: Asked) -> None:
+        """Keep designs that are handed out (see Store)."""
+        check_asked(designs, self._writable())
+        if len(designs) and int(self._handed_out.id.max(initial=-1)) >= designs.id[0]:
+            raise InputError(f"Designs that are handed out need new ids, got {designs.id.tolist()}.")
+        self._record(of_arrays("asked", vars(designs)))
+
+    def drop(self, ids: NDArray[np.int64]) -> None:
+        """Give up designs that were handed out (see Store)."""
+        self._writable()
+        self._record(of_arrays("dropped", {"id": ids}))
 
     @property
     def corrections(self) -> Corrections:

@@ -99,16 +99,23 @@ class Store(Protocol):
 
     @property
     def asked(self) -> Asked:
-        """The designs that were handed out to be simulated elsewhere, as of opening or the last `write_asked`."""
+        """The designs that were handed out so far."""
         ...
 
-    def write_asked(self, asked: Asked) -> None:
-        """Keep the designs that were handed out: those of the former list, and further ones; durable when this returns.
+    def hand_out(self, designs: Asked) -> None:
+        """Keep designs that are handed out; they are durable when this returns.
 
         Raises:
-            InputError: if the designs have another number of variables, or one of the former list is missing, or is no
-                longer dropped.
-            StoreError: if they cannot be written, or the store may not write; the former list stays.
+            InputError: if they have another number of variables, or ids that are not larger than all before.
+            StoreError: if they cannot be written, or the store may not write.
+        """
+        ...
+
+    def drop(self, ids: NDArray[np.int64]) -> None:
+        """Give up designs that were handed out; durable when this returns.
+
+        Raises:
+            StoreError: if it cannot be written, or the store may not write.
         """
         ...
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.comparison.static import Score, default_budgets, remembered_scores, score
 from activefail.loop.history import History
-from activefail.loop.initial import initial_sets
+from activefail.loop.initial import initial_size
 from activefail.loop.learning import learn_from
 from activefail.record.store import Store
 from activefail.space import Array
@@ -64,7 +64,7 @@ def _curve(campaign: Campaign, store: Store, stage: Callable[[str], None]) -> tu
         return None, "a comparison with static designs, or a validation set (validation.size)"
     scores = []
     classifier: Classifier | None = None
-    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
+    initial = initial_size(campaign, history)
     budgets = default_budgets(min(initial, done), done)
     for n in (
         budgets if len(budgets) < _BUDGETS else [budgets[round(i)] for i in np.linspace(0, len(budgets) - 1, _BUDGETS)]

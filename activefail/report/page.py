@@ -34,7 +34,7 @@ from activefail.findings.prediction import information, predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words
-from activefail.loop.progress import standing
+from activefail.loop.history import History
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
@@ -308,7 +308,8 @@ def render(
     campaign, folder = findings.campaign, findings.folder
     text = (folder / SETTINGS).read_text(encoding="utf-8")
     settings, outcomes = campaign.settings, campaign.simulator.outcomes
-    done = standing(campaign, store.batches, 0).done
+    history = History.of(store.batches)
+    done = history.asked_for
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
     run_folder = quoted(folder)
@@ -350,7 +351,7 @@ def render(
         "beyond": findings.beyond,
         "missing": evidence.missing,
         "done": done,
-        "unseen": Summary.of(settings, campaign.schema, store.batches, store.asked).unseen_warning,
+        "unseen": Summary.of(settings, campaign.schema, history, store.asked).unseen_warning,
         "left": left,
         "folder": run_folder,
         "continues": continues,

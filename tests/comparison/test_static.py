@@ -20,10 +20,11 @@ from activefail.comparison.static import (
 )
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.asking import add
-from activefail.loop.batches import run
-from activefail.loop.learning import current_classifier
+from activefail.loop.history import History
+from activefail.loop.learning import current
 from activefail.loop.progress import Observer, standing
+from activefail.loop.running import run
+from activefail.loop.telling import add
 from activefail.record.memory import MemoryStore
 from activefail.space import Array
 from activefail.surrogate.classifier import train
@@ -91,7 +92,7 @@ def test_another_size_of_the_test_set_is_another_set(
 
 
 def test_comparing_leaves_the_campaign_as_it_was(campaign: Campaign, store: MemoryStore) -> None:
-    assert standing(campaign, store.batches, 40).done == 40
+    assert standing(campaign, History.of(store.batches), 40).done == 40
     before = [batch.designs.tobytes() for batch in store.batches], store.latest_state()
     scores(campaign, store, [20])
     assert [batch.designs.tobytes() for batch in store.batches] == before[0]
@@ -149,7 +150,7 @@ def test_the_interval_of_an_accuracy_is_wilsons(first: tuple[list[Score], int]) 
 
 def test_a_perfect_score_and_one_in_which_all_is_wrong(campaign: Campaign, store: MemoryStore) -> None:
     with one_thread():
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
         X: Array = campaign.space.sobol(64, np.random.default_rng(5))
         sides = (classifier.latents[0].moments(campaign.features(X)).mean > 0.0).astype(np.int8)
         right, wrong = (score("active", classifier, 1, 40, X, truth) for truth in (sides, 1 - sides))

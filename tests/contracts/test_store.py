@@ -58,7 +58,7 @@ def results(n: int, seed: int) -> Results:
 def batch(n: int, seed: int, iteration: int = 0) -> Batch:
     rng = np.random.default_rng(seed)
     origin = np.full(n, INITIAL if iteration == 0 else ACTIVE, dtype=np.int8)
-    return Batch(iteration, rng.normal(size=(n, 2)), origin, results(n, seed + 1000))
+    return Batch(iteration, seed + np.arange(n), rng.normal(size=(n, 2)), origin, results(n, seed + 1000))
 
 
 def bits(*arrays: NDArray[np.generic]) -> list[tuple[str, tuple[int, ...], bytes]]:
@@ -67,7 +67,7 @@ def bits(*arrays: NDArray[np.generic]) -> list[tuple[str, tuple[int, ...], bytes
 
 def batch_bits(one: Batch) -> list[object]:
     answers = one.results
-    arrays = (one.designs, one.origin, answers.outcome, answers.cause, answers.margins, answers.seconds)
+    arrays = (one.id, one.designs, one.origin, answers.outcome, answers.cause, answers.margins, answers.seconds)
     return [one.iteration, *bits(*arrays)]
 
 
@@ -181,11 +181,13 @@ def test_what_is_not_of_the_schema_is_refused_and_leaves_nothing(kind: Kind) -> 
     }
     for rule, (designs, answers) in bad.items():
         with pytest.raises(InputError, match=rule):
-            kind.store.commit(Batch(0, designs, origin, answers))
+            kind.store.commit(Batch(0, np.arange(len(designs)), designs, origin, answers))
         with pytest.raises(InputError, match=rule):
             kind.store.write_set("test", designs, answers)
     with pytest.raises(InputError, match="origin"):
-        kind.store.commit(Batch(0, X, origin.astype(np.int64), good))
+        kind.store.commit(Batch(0, np.arange(len(X)), X, origin.astype(np.int64), good))
+    with pytest.raises(InputError, match="different numbers"):
+        kind.store.commit(Batch(0, np.zeros(len(X), dtype=np.int64), X, origin, good))
     for name in ("", "../x", "a/b", "a.b"):
         with pytest.raises(InputError, match="letters"):
             kind.store.write_set(name, X, good)
@@ -206,7 +208,7 @@ def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) 
         lambda: store.commit(batch(2, 1)),
         lambda: store.write_state(1, {"a": np.zeros(1)}),
         lambda: store.write_set("test", np.zeros((2, 2)), results(2, 0)),
-        lambda: store.write_asked(asked(0)),
+        lambda: store.hand_out(asked(0)),
         lambda: store.correct(np.array([0]), results(1, 0)),
     ):
         with pytest.raises(StoreError, match="closed"):
@@ -275,36 +277,39 @@ def asked(*ids: int) -> Asked:
 
 
 def asked_bits(one: Asked) -> list[object]:
-    return bits(one.id, one.designs, one.origin, one.learned, one.dropped)
+    return bits(one.id, one.designs, one.origin, one.learned, one.loop, one.dropped)
 
 
 def test_a_new_record_has_handed_out_no_designs(kind: Kind) -> None:
     assert len(kind.store.asked) == 0
 
 
-def test_designs_that_were_handed_out_come_back_bit_for_bit_and_the_last_list_holds(kind: Kind) -> None:
-    first = asked(0, 1, 4)
-    kind.store.write_asked(first)
+def test_designs_that_were_handed_out_come_back_bit_for_bit_and_dropped_ones_are_marked(kind: Kind) -> None:
+    first, later = asked(0, 1, 4), asked(7, 9)
+    kind.store.hand_out(first)
     store = kind.reopen()
     assert asked_bits(store.asked) == asked_bits(first)
-    longer = first.and_then(asked(7, 9)).without(np.array([False, True, False, False, True]))
-    store.write_asked(longer)
-    assert asked_bits(kind.reopen().asked) == asked_bits(longer)
+    store.hand_out(later)
+    store.drop(np.array([1, 9]))
+    expected = Asked.joined([first, later]).without(np.array([1, 9]))
+    assert asked_bits(kind.reopen().asked) == asked_bits(expected)
 
 
 def test_the_list_of_handed_out_designs_shares_no_array_with_its_caller(kind: Kind) -> None:
     given = asked(0, 1)
     before = asked_bits(given)
-    kind.store.write_asked(given)
+    kind.store.hand_out(given)
     given.designs[:] = 0.0
     kind.store.asked.designs[:] = 1.0
     assert asked_bits(kind.store.asked) == before
 
 
-def test_handed_out_designs_of_another_dimension_are_refused_and_the_list_stays(kind: Kind) -> None:
-    kind.store.write_asked(asked(5))
+def test_handed_out_designs_of_another_dimension_or_with_old_ids_are_refused_and_the_list_stays(kind: Kind) -> None:
+    kind.store.hand_out(asked(5))
     with pytest.raises(InputError, match="must have 2 columns"):
-        kind.store.write_asked(Asked.none(3))
+        kind.store.hand_out(Asked.none(3))
+    with pytest.raises(InputError, match="need new ids"):
+        kind.store.hand_out(asked(4, 6))
     assert kind.store.asked.id.tolist() == [5]
 
 
@@ -385,7 +390,7 @@ def test_a_batch_whose_shapes_do_not_agree_is_refused(
     designs: NDArray[np.float64], origin: NDArray[np.int8], iteration: int
 ) -> None:
     with pytest.raises(ValueError, match="got"):
-        Batch(iteration, designs, origin, results(3, 0))
+        Batch(iteration, np.arange(3), designs, origin, results(3, 0))
 
 
 def test_a_batch_without_designs_is_refused() -> None:

@@ -15,7 +15,7 @@ from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import Findings, findings_of
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
 from activefail.record.run_folder import FolderStore
 from activefail.surrogate.threads import one_thread
 
@@ -25,7 +25,7 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     folder = tmp_path_factory.mktemp("explore") / "run"
     ran(folder, settings(budget=40))
     with open_campaign(folder, write=False) as (campaign, store), one_thread():
-        return findings_of(folder, campaign, store, current_classifier(campaign, store, write=False))
+        return findings_of(folder, campaign, store, current(campaign, store, write=False).classifier)
 
 
 @pytest.fixture(scope="session")
@@ -37,7 +37,7 @@ def answers_of(campaign: Campaign, folder: Path) -> Answers:
     """The answers about a campaign that is taken to its budget in a folder."""
     ran(folder, campaign)
     with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
-        return Answers(findings_of(folder, campaign, store, current_classifier(campaign, store, write=False)))
+        return Answers(findings_of(folder, campaign, store, current(campaign, store, write=False).classifier))
 
 
 @pytest.fixture(scope="module")

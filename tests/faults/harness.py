@@ -17,7 +17,7 @@ import pytest
 from faults.victim import BUDGET, Inline, campaign, opened
 from patience import PATIENCE
 
-from activefail.loop.batches import run
+from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
 
 TESTS = Path(__file__).parents[1]

@@ -48,7 +48,7 @@ def assert_nothing_lost(victim: Victim, folder: Path, whole: list[bytes]) -> Non
     with FolderStore.open(folder, campaign().schema, write=False) as store:
         handed_out = HandedOut.of(store)
         asked = set(handed_out.asked.id.tolist())
-        told = set(handed_out.asked.id[handed_out.has_result].tolist())
+        told = set(handed_out.asked.id[np.isin(handed_out.asked.id, handed_out.history.id)].tolist())
         dropped = set(handed_out.asked.id[handed_out.asked.dropped == 1].tolist())
         for line in victim.reports:
             word, *ids = line.split()

@@ -34,6 +34,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import DesignSpace
+from activefail.surrogate.state import classifier_from_state
 from activefail.visible import quoted, visible
 
 Survived = Callable[[], None]
@@ -334,7 +335,7 @@ def test_settings_of_any_shape_end_in_an_answer_or_one_message(
     one = Results(np.ones(1, np.int8), np.zeros(1, np.int8), np.ones((1, 1)), np.ones(1))
     if "\0" not in text:
         with FolderStore.create(home / "forged", text, schema) as store:
-            store.commit(Batch(0, np.full((1, 2), 0.5), np.full(1, INITIAL, np.int8), one))
+            store.commit(Batch(0, np.zeros(1, np.int64), np.full((1, 2), 0.5), np.full(1, INITIAL, np.int8), one))
     for folder in (home / "changed", home / "forged"):
         for words in commands(folder):
             if words[0] in ("status", "export", "predict") and folder.exists():
@@ -448,7 +449,7 @@ def test_arrays_of_any_kind_in_a_state_give_a_classifier_or_none(
     changes = data.draw(st.dictionaries(st.sampled_from([*keys, "inducing"]), numbers, min_size=1, max_size=3))
     rewritten(folder, lambda state: state.update({f"failure/{key}": array for key, array in changes.items()}))
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        saved = restore(campaign, store, store.batches[-1].iteration)
+        saved = restore(campaign, store, store.batches[-1].iteration, classifier_from_state)
         if saved is not None:
             probabilities = saved[2].probabilities(np.random.default_rng(0).random((5, 2)))
             assert np.isfinite(probabilities).all()

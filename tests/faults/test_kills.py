@@ -15,8 +15,8 @@ from faults.harness import Course, Victim, Victims, few, finished, traced
 from faults.victim import BUDGET, COMMITS, Inline, campaign, opened
 
 from activefail.files import TEMPORARY
-from activefail.loop.batches import run
 from activefail.loop.progress import Observer
+from activefail.loop.running import run
 from activefail.record.layout import QUARANTINE
 from activefail.record.run_folder import FolderStore
 

@@ -224,7 +224,7 @@ def changes(store: FolderStore) -> dict[str, Callable[[], object]]:
         "state": lambda: store.write_state(9, {"a": np.zeros(2)}),
         "set": lambda: store.write_set("validation-0", *kept),
         "result": lambda: store.remember(("a",), 1),
-        "asked": lambda: store.write_asked(Asked.of(np.array([0]), one.designs[:1], ACTIVE, 0)),
+        "asked": lambda: store.hand_out(Asked.of(np.array([10**6]), one.designs[:1], ACTIVE, 0)),
     }
 
 

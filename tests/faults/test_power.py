@@ -40,7 +40,10 @@ MOST_SUBSETS = 64
 def batch(number: int) -> Batch:
     rng = np.random.default_rng(number)
     codes = rng.integers(0, 2, (3, 3)).astype(np.int8)
-    return Batch(number, rng.random((3, 2)), codes[0], Results(codes[1], codes[2], rng.random((3, 1)), np.zeros(3)))
+    ids = 3 * number + np.arange(3)
+    return Batch(
+        number, ids, rng.random((3, 2)), codes[0], Results(codes[1], codes[2], rng.random((3, 1)), np.zeros(3))
+    )
 
 
 @dataclass(frozen=True)
@@ -242,7 +245,8 @@ def course(tmp_path: Path) -> Callable[[], tuple[list[Moment], str]]:
                         disk.reports.append("set test")
                         disk.note()
                     if number in (1, 3):
-                        store.write_asked(Asked.of(np.arange(number), batch(9).designs[:number], ACTIVE, 0))
+                        ids = np.arange(len(store.asked), number)
+                        store.hand_out(Asked.of(ids, batch(9).designs[ids], ACTIVE, 0))
                         disk.reports.append(f"asked {number}")
                         disk.note()
                     if number == 2:

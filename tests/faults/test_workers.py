@@ -25,8 +25,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import SimulationError
 from activefail.execution.executor import Executor
 from activefail.execution.local import ProcessExecutor, ThreadExecutor
-from activefail.loop.batches import run
+from activefail.loop.history import History
 from activefail.loop.progress import Observer, standing
+from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.space import Array
@@ -95,7 +96,7 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
         with pytest.raises(SimulationError, match=r"limits\.numerical_failures allows") as stopped:
             run(one, store, executor, 24)
         assert says in str(stopped.value)
-        progress = standing(one, store.batches, 24)
+        progress = standing(one, History.of(store.batches), 24)
         assert progress.done < 24
         X = np.concatenate([batch.designs for batch in store.batches])
         outcome = np.concatenate([batch.results.outcome for batch in store.batches])
@@ -104,7 +105,7 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
         assert {cause_name(Disc.causes, code) for code in causes[X[:, 0] < -1.0].tolist()} == {cause}
         # With a higher limit it continues with the record that it has.
         assert run(one, store, executor, 24, failure_limit=0.9)
-        assert standing(one, store.batches, 24).done == 24
+        assert standing(one, History.of(store.batches), 24).done == 24
 
 
 # --- what interferes with a worker -------------------------------------------------------------------------------

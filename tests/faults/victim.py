@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
-from activefail.loop.asking import add, ask, correct, drop, tell
-from activefail.loop.batches import run
+from activefail.loop.asking import ask
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.progress import Observer
+from activefail.loop.running import run
+from activefail.loop.telling import add, correct, drop, tell
 from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results, Simulator
@@ -187,14 +188,14 @@ def elsewhere(record: Logging) -> None:
             with gate.marked("drop"):
                 drop(record, np.array([DROPPED]))
             record.tell(f"dropped {DROPPED}")
-        elif len(record.corrections) < 2 * len(WRONG) and {*WRONG} <= {*handed_out.ids.tolist()}:
+        elif len(record.corrections) < 2 * len(WRONG) and {*WRONG} <= {*history.id.tolist()}:
             # First wrong ones, then the right ones again.
-            rows = np.flatnonzero(np.isin(handed_out.ids, WRONG))
+            rows = np.flatnonzero(np.isin(history.id, WRONG))
             results = one.simulator.run(history.designs[rows])
             if not len(record.corrections):
                 results = replace(results, outcome=(1 - results.outcome).astype(np.int8))
             with gate.marked("correct"):
-                correct(one, record, handed_out.ids[rows], results)
+                correct(one, record, history.id[rows], results)
             record.tell(f"corrected {len(record.corrections)}")
         elif len(flight):
             part = flight[:2]

@@ -15,7 +15,7 @@ from activefail.errors import ActivefailError
 from activefail.execution.local import ThreadExecutor
 from activefail.findings.status import read_status
 from activefail.findings.summary import features_in_words
-from activefail.loop.batches import run
+from activefail.loop.running import run
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.run_folder import FolderStore
 
@@ -49,9 +49,10 @@ def test_designs_are_counted_by_who_asked_for_them_not_by_when_they_were_answere
     first = 0
     with FolderStore.create(tmp_path, campaign.settings.text(), campaign.schema) as store:
         for iteration, origins in parts:
-            designs = X[first : first + len(origins)]
+            ids = first + np.arange(len(origins))
+            designs = X[ids]
             first += len(origins)
-            store.commit(Batch(iteration, designs, np.array(origins, dtype=np.int8), Disc().run(designs)))
+            store.commit(Batch(iteration, ids, designs, np.array(origins, dtype=np.int8), Disc().run(designs)))
     summary = read_status(tmp_path).summary
     assert (int(summary.initial.sum()), int(summary.chosen.sum()), int(summary.given.sum())) == (12, 7, 1)
     assert summary.done == 19

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,16 @@ from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ThreadExecutor
-from activefail.loop import choosing
-from activefail.loop.asking import RowError, add, ask, correct, drop, tell
-from activefail.loop.batches import run
+from activefail.loop import proposing
+from activefail.loop.asking import ask
+from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_designs
-from activefail.loop.learning import Memory, classifier_after, current
+from activefail.loop.learning import Learned, classifier_after, current
+from activefail.loop.running import run
+from activefail.loop.telling import RowError, add, correct, drop, tell
 from activefail.record.asked import Asked
-from activefail.record.batch import GIVEN, INITIAL, Batch, columns_of
+from activefail.record.batch import GIVEN, INITIAL, columns_of
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -102,28 +105,33 @@ def test_the_bits_are_the_same_if_the_classifier_is_read_between_two_parts(loope
 
 
 def test_the_bits_are_the_same_if_a_process_remembers_what_it_has_learned(looped: Store) -> None:
-    campaign, memory = disc(), Memory()
+    campaign, learned = disc(), None
     told = MemoryStore(campaign.schema)
-    while len(designs := ask(campaign, told, BATCH, BUDGET, memory=memory).designs):
-        for part in in_two(designs):
+    while len((proposed := ask(campaign, told, BATCH, BUDGET, before=learned)).designs):
+        for part in in_two(proposed.designs):
             tell(campaign, told, part.id, campaign.simulator.run(part.designs))
             # After the first part, what is remembered lacks a part of its iteration.
-            assert current(campaign, told, write=True, memory=memory) is memory.learned
+            learned = current(campaign, told, write=True, before=learned)
     assert rows(told) == rows(looped)
     assert state(told) == state(looped)
 
 
 def test_what_is_remembered_is_not_learned_again_and_holds_until_its_iteration_goes_on() -> None:
-    campaign, memory = disc(), Memory()
+    campaign = disc()
     store = take(campaign, budget=INITIAL_SIZE)
-    learned = current(campaign, store, write=True, memory=memory)
-    assert current(campaign, store, write=True, memory=memory) is learned
-    designs = ask(campaign, store, 2, BUDGET, memory=memory).designs
-    tell(campaign, store, designs.id[:1], campaign.simulator.run(designs.designs[:1]))
-    assert memory.holds(HandedOut.of(store).history)
-    assert current(campaign, store, write=True, memory=memory) is not learned
-    tell(campaign, store, designs.id[1:], campaign.simulator.run(designs.designs[1:]))
-    assert not memory.holds(HandedOut.of(store).history)
+
+    def learned_since(before: Learned | None) -> Learned:
+        return current(campaign, store, write=True, before=before)
+
+    first = learned_since(None)
+    proposed = ask(campaign, store, 2, BUDGET, before=first)
+    assert learned_since(first) is proposed.learned is first
+    tell(campaign, store, proposed.designs.id[:1], campaign.simulator.run(proposed.designs.designs[:1]))
+    assert first.holds(HandedOut.of(store).history)
+    second = learned_since(first)
+    assert second is not first
+    tell(campaign, store, proposed.designs.id[1:], campaign.simulator.run(proposed.designs.designs[1:]))
+    assert not second.holds(HandedOut.of(store).history)
 
 
 @pytest.mark.parametrize("loop_first", [True, False])
@@ -264,7 +272,7 @@ def test_a_dropped_design_may_be_added_later() -> None:
     drop(store, designs.id[:1])
     assert add(campaign, store, designs.designs[:1], results(1)) == 1
     handed = HandedOut.of(store)
-    assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([1], [2])
+    assert (handed.in_flight.id.tolist(), handed.history.id.tolist()) == ([1], [2])
 
 
 def test_ids_count_what_entered_the_campaign_in_the_order_of_entering() -> None:
@@ -277,7 +285,7 @@ def test_ids_count_what_entered_the_campaign_in_the_order_of_entering() -> None:
     assert (first.id.tolist(), second.id.tolist()) == ([12, 13], [15, 16])
     tell(campaign, store, second.id, campaign.simulator.run(second.designs))
     tell(campaign, store, first.id, campaign.simulator.run(first.designs))
-    assert HandedOut.of(store).ids.tolist() == [*range(12), 14, 15, 16, 12, 13]
+    assert HandedOut.of(store).history.id.tolist() == [*range(12), 14, 15, 16, 12, 13]
 
 
 def test_the_loop_leaves_designs_in_flight_alone_and_within_the_budget() -> None:
@@ -299,7 +307,7 @@ def test_the_loop_simulates_what_is_left_of_an_initial_design_and_waits_for_a_fi
     assert len(np.unique(np.concatenate([flight.designs, HandedOut.of(store).history.designs]), axis=0)) == 12
     empty = MemoryStore(campaign.schema)
     ask(campaign, empty, INITIAL_SIZE, BUDGET)
-    with pytest.raises(InputError, match="The whole initial design is in flight or was dropped"):
+    with pytest.raises(InputError, match="Nothing can be simulated: no simulation has given an outcome yet"):
         take(campaign, empty)
 
 
@@ -309,11 +317,11 @@ def test_a_design_in_flight_while_all_others_fail_leaves_a_campaign_that_can_lea
     flight = ask(disc(), store, 1, BUDGET).designs
     with pytest.raises(
         SimulationError,
-        match=r"None of the 11 simulations, which are recorded, gave an outcome, and the rest .*`activefail",
+        match=r"Nothing can be simulated: no simulation has given an outcome yet.*`activefail tell`",
     ):
         take(disc(Disc(blind=np.inf)), store)
     campaign = disc()
-    with pytest.raises(SimulationError, match="None of the 11 simulations"):  # nothing is simulated with it in flight
+    with pytest.raises(SimulationError, match="Nothing can be simulated"):  # nothing is simulated with it in flight
         take(campaign, store)
     if given:
         X = campaign.space.from_unit(np.array([[0.1, 0.2]]))
@@ -324,22 +332,6 @@ def test_a_design_in_flight_while_all_others_fail_leaves_a_campaign_that_can_lea
     take(campaign, store)
     history = HandedOut.of(store).history
     assert (history.asked_for, history.last_iteration) == (BUDGET - 2, 4)
-
-
-def test_a_record_whose_first_iteration_has_no_outcome_is_learned_from_the_next() -> None:
-    # Earlier versions began an iteration after an initial design in which everything failed.
-    campaign = disc(initial=6)
-    store = MemoryStore(campaign.schema)
-    X = campaign.space.latin_hypercube(18, np.random.default_rng(4))
-    failed = results(*[NUMERICAL_FAILURE] * 6, margin=np.nan)
-    for iteration, rows_of in enumerate((slice(0, 6), slice(6, 12), slice(12, 18))):
-        answers = failed if iteration == 0 else campaign.simulator.run(X[rows_of])
-        store.commit(Batch(iteration, X[rows_of], np.full(6, INITIAL, dtype=np.int8), answers))
-    learned = current(campaign, store, write=True).classifier
-    assert len(learned.latents[0].features) == 12
-    again = classifier_after(campaign, store.batches)
-    np.testing.assert_array_equal(again.probabilities(X), learned.probabilities(X))
-    assert len(ask(campaign, store, 2, BUDGET).designs) == 2
 
 
 def test_a_given_design_of_a_later_hypercube_does_not_begin_it() -> None:
@@ -360,17 +352,6 @@ def test_an_initial_design_in_which_everything_failed_is_followed_by_another() -
     assert not np.isin(second.designs[:, 0], first.designs[:, 0]).any()
 
 
-def test_an_asynchronous_campaign_is_not_asked() -> None:
-    campaign = disc(asynchronous=True, batch=2)
-    store = MemoryStore(campaign.schema)
-    with pytest.raises(
-        InputError, match=r"sampling\.asynchronous: `ask`, `add` and corrections work only on campaigns in batches"
-    ):
-        ask(campaign, store, 1, BUDGET)
-    with pytest.raises(InputError, match=r"sampling\.asynchronous"):
-        add(campaign, store, np.zeros((1, 2)), results(0))
-
-
 # --- any order of anything ---------------------------------------------------------------------------------------
 
 
@@ -379,9 +360,9 @@ class Interleaved(RuleBasedStateMachine):
 
     folder: Path
 
-    @initialize()
-    def begin(self) -> None:
-        self.campaign = disc(initial=4, budget=1000)
+    @initialize(asynchronous=st.booleans())
+    def begin(self, asynchronous: bool) -> None:
+        self.campaign = disc(initial=4, budget=1000, batch=2, asynchronous=asynchronous)
         Interleaved.number += 1
         self.place = self.folder / str(Interleaved.number)
         self.store = create_folder(self.place, self.campaign)
@@ -435,9 +416,9 @@ class Interleaved(RuleBasedStateMachine):
     @rule(data=st.data())
     def correct_what_was_never_asked_for(self, data: st.DataObject) -> None:
         handed = HandedOut.of(self.store)
-        rows_of = np.flatnonzero(~handed.handed_out).tolist()
-        row = data.draw(st.sampled_from(rows_of))
-        number, history = int(handed.ids[row]), handed.history[row : row + 1]
+        rows_of = np.flatnonzero(~np.isin(handed.history.id, list(self.told)))
+        row = data.draw(st.sampled_from(rows_of.tolist()))
+        number, history = int(handed.history.id[row]), handed.history[row : row + 1]
         answer = self.outcome(history.designs)
         other = 1 - history.outcome
         results = Results(other, answer.cause, answer.margins, answer.seconds)
@@ -477,7 +458,7 @@ class Interleaved(RuleBasedStateMachine):
     def loop(self) -> None:
         """The loop simulates what is left of the initial design, or a batch, beside the designs in flight."""
         handed = HandedOut.of(self.store)
-        known = {*handed.ids.tolist(), *handed.asked.id.tolist()}
+        known = {*handed.history.id.tolist(), *handed.asked.id.tolist()}
         budget = handed.history.asked_for + len(handed.in_flight) + 2
         refused = ""
         try:
@@ -485,9 +466,9 @@ class Interleaved(RuleBasedStateMachine):
         except InputError as error:
             refused = str(error)
         # The whole initial design may be in flight or dropped.
-        assert not refused or "initial design" in refused
+        assert not refused or "no simulation has given an outcome" in refused
         handed = HandedOut.of(self.store)
-        outcome = dict(zip(handed.ids.tolist(), handed.history.outcome.tolist(), strict=True))
+        outcome = dict(zip(handed.history.id.tolist(), handed.history.outcome.tolist(), strict=True))
         new = {number: outcome[number] for number in outcome.keys() - known}
         assert len(new) <= 2
         self.looped |= new
@@ -505,7 +486,7 @@ class Interleaved(RuleBasedStateMachine):
             return
         X = self.campaign.space.from_unit(np.array([[0.3, 0.001 * (1 + len(self.given))]]))
         with pytest.MonkeyPatch.context() as patch:
-            for name in ("commit", "write_asked", "correct"):
+            for name in ("commit", "hand_out", "drop", "correct"):
                 original = getattr(self.store, name)
 
                 def dies(*values: object, original: Callable[..., None] = original) -> None:
@@ -535,7 +516,7 @@ class Interleaved(RuleBasedStateMachine):
         # What was not acknowledged may be there, but whole: the folder says which.
         handed = HandedOut.of(self.store)
         if not before and kind == "ask":
-            new = handed.asked[np.isin(handed.asked.id, list(self.asked), invert=True)]
+            new = handed.asked[np.isin(handed.asked.id, [*self.asked, *self.looped], invert=True)]
             assert len(new)
             self.asked |= {n: x.tobytes() for n, x in zip(new.id.tolist(), new.designs, strict=True)}
         elif not before and kind == "drop":
@@ -552,20 +533,22 @@ class Interleaved(RuleBasedStateMachine):
         if not hasattr(self, "store"):
             return
         handed = HandedOut.of(self.store)
+        assert len(np.unique(handed.asked.designs, axis=0)) == len(handed.asked)
+        handed = replace(handed, asked=handed.asked[handed.asked.loop == 0])
         designs = [design.tobytes() for design in handed.asked.designs]
         assert dict(zip(handed.asked.id.tolist(), designs, strict=True)) == self.asked
-        answered = set(handed.asked.id[handed.has_result].tolist())
+        answered = set(handed.asked.id.tolist()) & set(handed.history.id.tolist())
         dropped = set(handed.asked.id[handed.asked.dropped == 1].tolist())
         flight = set(handed.in_flight.id.tolist())
         assert (answered, dropped, flight) == (set(self.told), self.dropped, set(self.flight()))
         assert len(answered) + len(dropped) + len(flight) == len(handed.asked)
         assert len(handed.history) == len(self.told) + len(self.given) + len(self.looped)
-        outcome = dict(zip(handed.ids.tolist(), handed.history.outcome.tolist(), strict=True))
+        outcome = dict(zip(handed.history.id.tolist(), handed.history.outcome.tolist(), strict=True))
         recorded = self.told | self.looped
         assert {number: outcome[number] for number in recorded} == recorded
         given = handed.history[handed.history.origin == GIVEN]
         assert dict(zip(map(bytes, given.designs), given.outcome.tolist(), strict=True)) == self.given
-        assert len(set(handed.ids.tolist())) == len(handed.ids)
+        assert len(set(handed.history.id.tolist())) == len(handed.history.id)
 
     def teardown(self) -> None:
         if hasattr(self, "store"):
@@ -644,10 +627,10 @@ def test_after_a_lost_batch_ids_are_not_given_again(tmp_path: Path) -> None:
         FolderStore.open(tmp_path / "run", campaign.schema, write=True).close()
         assert len(data) > path.stat().st_size, lost
     with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
-        assert HandedOut.of(store).ids.tolist() == [0, 1, 2, 3, 4, 5]
+        assert HandedOut.of(store).history.id.tolist() == [0, 1, 2, 3, 4, 5]
         assert ask(campaign, store, 1, BUDGET).designs.id.tolist() == [6]
         assert add(campaign, store, X, campaign.simulator.run(X)) == 5
-        ids = HandedOut.of(store).ids.tolist()
+        ids = HandedOut.of(store).history.id.tolist()
         assert len(set(ids)) == 11
 
 
@@ -661,7 +644,7 @@ def test_a_reader_keeps_the_list_that_it_opened(tmp_path: Path) -> None:
             add(campaign, store, X, campaign.simulator.run(X))
             ask(campaign, store, 2, BUDGET)
             handed = HandedOut.of(reader)
-            assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([0, 1, 2], [])
+            assert (handed.in_flight.id.tolist(), handed.history.id.tolist()) == ([0, 1, 2], [])
 
 
 def test_a_dropped_design_does_not_block_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -671,7 +654,7 @@ def test_a_dropped_design_does_not_block_the_campaign(monkeypatch: pytest.Monkey
         streams.append(names)
         return stream(seed, *names)
 
-    monkeypatch.setattr(choosing, "stream", noted)
+    monkeypatch.setattr(proposing, "stream", noted)
     # The search for failure, of which nothing is known, ends in the same corner whatever its random numbers are.
     text = """
         seed = 1
@@ -720,7 +703,7 @@ def begun(campaign: Campaign, store: Store, batches: int, wrong: tuple[int, ...]
 
 def right(campaign: Campaign, store: Store, ids: list[int]) -> tuple[np.ndarray, Results]:
     handed = HandedOut.of(store)
-    rows = [handed.ids.tolist().index(number) for number in ids]
+    rows = [handed.history.id.tolist().index(number) for number in ids]
     return np.array(ids), campaign.simulator.run(handed.history.designs[rows])
 
 
@@ -735,7 +718,7 @@ def test_a_corrected_campaign_goes_on_bit_for_bit_like_one_that_was_told_right_r
     assert state(store) == state(looped)
     X = campaign.space.from_unit(np.random.default_rng(0).random((50, 2)))
     assert not np.array_equal(
-        wrong.classifier.probabilities(X), classifier_after(campaign, store.batches[:3]).probabilities(X)
+        wrong.classifier.probabilities(X), classifier_after(campaign, History.of(store.batches[:3])).probabilities(X)
     )
 
 
@@ -750,8 +733,7 @@ def test_a_correction_after_proposals_gives_the_same_bits_whoever_is_interrupted
         create_folder(folder, campaign).close()
         with opened() as store:
             begun(campaign, store, 5, wrong=(3, 14))
-            memory = Memory()
-            current(campaign, store, True, memory)
+            current(campaign, store, write=True)
             correct(campaign, store, *right(campaign, store, [3, 14]))
             if number == 0:
                 # The process that corrects continues; the other one ends, and its successors learn in two parts.
@@ -806,13 +788,6 @@ def test_only_recorded_results_are_corrected_and_all_of_a_table_or_none() -> Non
     assert tell(campaign, store, ids, other) == 0
     with pytest.raises(RowError):
         tell(campaign, store, ids, results)
-
-
-def test_an_asynchronous_campaign_is_not_corrected_because_its_designs_in_flight_follow_from_its_results() -> None:
-    campaign = disc(asynchronous=True, batch=2)
-    store = take(campaign, budget=14)
-    with pytest.raises(InputError, match="an asynchronous campaign follow from its results"):
-        correct(campaign, store, *right(campaign, store, [0]))
 
 
 def test_given_results_and_those_of_the_loop_are_corrected_too(looped: Store) -> None:

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-import shutil
+import re
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ from patience import PATIENCE, until
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ProcessExecutor, ThreadExecutor
-from activefail.loop.asynchronous import Course, resumed
-from activefail.loop.batches import run
+from activefail.loop.asking import ask
 from activefail.loop.history import History
+from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_designs
-from activefail.loop.learning import current_classifier, learn
+from activefail.loop.learning import classifier_after, current
 from activefail.loop.progress import Observer, Progress
+from activefail.loop.running import run
+from activefail.loop.telling import add, correct, tell
 from activefail.record.batch import ACTIVE, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
-from activefail.surrogate.state import classifier_state
-from activefail.surrogate.threads import one_thread
 
 INITIAL_SIZE, BUDGET, SIZE = 12, 30, 4
 
@@ -78,22 +78,18 @@ def take(
     return store
 
 
-def kept(store: Store) -> list[tuple[int, bytes, bytes, bytes]]:
-    return [(b.iteration, b.designs.tobytes(), b.origin.tobytes(), b.results.outcome.tobytes()) for b in store.batches]
+def kept(store: Store) -> list[tuple[int, bytes, bytes, bytes, bytes]]:
+    return [
+        (b.iteration, b.id.tobytes(), b.designs.tobytes(), b.origin.tobytes(), b.results.outcome.tobytes())
+        for b in store.batches
+    ]
 
 
-def bits(course: Course) -> tuple[int, bytes, dict[str, bytes]]:
-    state = {} if course.classifier is None else classifier_state(course.classifier)
-    return course.iteration, course.flight.tobytes(), {name: array.tobytes() for name, array in state.items()}
-
-
-def replayed(campaign: Campaign, store: Store) -> Course:
-    """The state of a campaign, from its record alone."""
-    bare = MemoryStore(campaign.schema)
-    for batch in store.batches:
-        bare.commit(batch)
-    with one_thread():
-        return resumed(campaign, bare)
+def first_events(journal: Path) -> list[bytes]:
+    """A journal as it was after each of its events."""
+    data = journal.read_bytes()
+    begins = [match.start() for match in re.finditer(rb"activefail [0-9a-f]{64} ", data)]
+    return [data[:end] for end in (*begins[1:], len(data))]
 
 
 @pytest.fixture(scope="module")
@@ -129,54 +125,6 @@ def test_what_is_chosen_lies_apart_from_what_is_in_flight(uninterrupted: Store) 
     assert distances.min() > 1e-3
 
 
-def some_or(every: bool, first: int, end: int) -> list[int]:
-    """Numbers of commits to stop after: every one, or the first two, two in the middle and the last two."""
-    commits = range(first, end)
-    middle = len(commits) // 2
-    return list(commits) if every else sorted({*commits[:2], *commits[middle - 1 : middle + 1], *commits[-2:]})
-
-
-@pytest.mark.parametrize("every", some([False, True], False))
-def test_stopped_after_any_commit_it_goes_on_to_the_same_campaign(
-    uninterrupted: Store, tmp_path: Path, every: bool
-) -> None:
-    campaign = plan()
-    stops = some_or(every, 1, len(uninterrupted.batches))
-    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
-
-        def keep(progress: Progress) -> None:
-            # As a kill at this moment would leave it.
-            if len(store.batches) in stops:
-                shutil.copytree(tmp_path / "run", tmp_path / str(len(store.batches)), dirs_exist_ok=True)
-
-        take(campaign, store, observer=Observer(keep))
-    for number, commits in enumerate(stops):
-        folder = tmp_path / str(commits)
-        if number % 2:
-            (folder / "checkpoint.h5").unlink(missing_ok=True)
-        with FolderStore.open(folder, campaign.schema, write=True) as store:
-            assert len(store.batches) == commits
-            take(campaign, store)
-            assert kept(store) == kept(uninterrupted)
-
-
-@pytest.mark.parametrize("first", [INITIAL_SIZE, 17, 24])
-def test_what_is_in_flight_follows_from_the_record_also_beyond_a_budget(first: int, tmp_path: Path) -> None:
-    campaign = plan()
-    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store, one_thread():
-        take(campaign, store, first)
-        assert sum(len(batch) for batch in store.batches) == first
-        ended = resumed(campaign, store)
-        assert bits(ended) == bits(replayed(campaign, store))
-        assert len(ended.flight) == SIZE
-        take(campaign, store, BUDGET)
-        later = np.concatenate([batch.designs for batch in store.batches])[first:]
-        # A larger budget begins with what was asked for already.
-        in_flight = {row.tobytes() for row in ended.flight}
-        assert in_flight <= {row.tobytes() for row in later}
-        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
-
-
 def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() -> None:
     campaign = plan()
     store, executor = MemoryStore(campaign.schema), Arbitrary()
@@ -188,15 +136,51 @@ def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() 
     assert sum(map(len, store.batches)) == BUDGET
 
 
-def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Store) -> None:
+def test_killed_after_any_event_it_goes_on_to_the_same_campaign(
+    uninterrupted: Store, tmp_path: Path, every_fault: bool
+) -> None:
     campaign = plan()
-    with one_thread():
-        course = replayed(campaign, uninterrupted)
-        read = current_classifier(campaign, uninterrupted, write=False)
-        assert course.classifier is not None
-        assert bits(course)[2] == {name: array.tobytes() for name, array in classifier_state(read).items()}
-        first = learn(campaign, History.of(uninterrupted.batches), 0, None)
-    assert first.latents[0].trained.labels.shape[0] < INITIAL_SIZE
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+        take(campaign, store)
+        assert kept(store) == kept(uninterrupted)
+    journals = first_events(tmp_path / "run" / "journal")
+    for journal in journals if every_fault else journals[1::7]:
+        # With the checkpoint of a later time, and without any.
+        (tmp_path / "run" / "journal").write_bytes(journal)
+        with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+            take(campaign, store)
+            assert kept(store) == kept(uninterrupted)
+            assert len(HandedOut.of(store).in_flight) == 0
+
+
+def test_a_finished_campaign_has_nothing_in_flight_and_continues_to_a_larger_budget() -> None:
+    campaign = plan()
+    store = take(campaign, budget=20)
+    assert len(HandedOut.of(store).in_flight) == 0
+    take(campaign, store)
+    assert len(np.unique(History.of(store.batches).designs, axis=0)) == BUDGET
+
+
+def test_designs_are_asked_for_added_and_corrected_beside_the_loop() -> None:
+    campaign = plan()
+    store = take(campaign, budget=16)
+    asked = ask(campaign, store, 3, BUDGET).designs
+    X = campaign.space.from_unit(np.array([[0.3, 0.6]]))
+    assert add(campaign, store, X, campaign.simulator.run(X)) == 1
+    first = History.of(store.batches)[:1]
+    results = campaign.simulator.run(first.designs)
+    wrong = Results((1 - results.outcome).astype(np.int8), results.cause, results.margins, results.seconds)
+    assert correct(campaign, store, first.id, wrong) == correct(campaign, store, first.id, results) == 1
+    take(campaign, store)
+    handed = HandedOut.of(store)
+    assert (handed.in_flight.id.tolist(), handed.history.asked_for) == (asked.id.tolist(), BUDGET - 3)
+    assert tell(campaign, store, asked.id, campaign.simulator.run(asked.designs)) == 3
+    history = History.of(store.batches)
+    assert (history.asked_for, len(np.unique(history.designs, axis=0))) == (BUDGET, BUDGET + 1)
+    # What is learned follows from the record: which iteration each result belongs to.
+    read = current(campaign, store, write=False).classifier
+    again = classifier_after(campaign, History.of(store.batches))
+    assert np.array_equal(read.probabilities(history.designs), again.probabilities(history.designs))
 
 
 def test_numerical_failures_leave_the_flight_too() -> None:
@@ -206,44 +190,30 @@ def test_numerical_failures_leave_the_flight_too() -> None:
     assert any((batch.results.outcome == -1).any() for batch in store.batches)
 
 
-def test_a_design_that_failed_numerically_is_not_asked_for_again_nor_after_an_interruption() -> None:
+def test_a_design_that_failed_numerically_is_not_asked_for_again() -> None:
     campaign = plan(Brittle(), extra="limits.numerical_failures = 1.0", seed=3)
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
     assert sum((batch.results.outcome == -1).sum() for batch in store.batches) > 1
-    for commits in (3, 5, len(store.batches) - 1):
-        bare = MemoryStore(campaign.schema)
-        for batch in store.batches[:commits]:
-            bare.commit(batch)
-        assert kept(take(campaign, bare)) == kept(store)
 
 
 FOGGED = Disc(blind=np.inf)
 """A disc that never answers."""
 
 
-@pytest.mark.parametrize("every", some([False, True], False))
-def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended(every: bool) -> None:
+def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended() -> None:
     broken, mended = plan(FOGGED, 48), plan(budget=48)
     store = MemoryStore(mended.schema)
     for done in (12, 24):
         with pytest.raises(SimulationError, match=f"None of the {done} simulations .* first failed with cause `fog`"):
             take(broken, store, 48)
         assert sum(map(len, store.batches)) == done
-    failed = store.batches
     take(mended, store, 48)
     X = np.concatenate([batch.designs for batch in store.batches])
     origin = np.concatenate([batch.origin for batch in store.batches])
     assert len(np.unique(X, axis=0)) == 48
     assert sorted(map(tuple, X[origin == INITIAL])) == sorted(map(tuple, initial_designs(mended, 3)))
-    with one_thread():
-        assert bits(resumed(mended, store)) == bits(replayed(mended, store))
-    for commits in some_or(every, len(failed) + 1, len(store.batches)):
-        bare = MemoryStore(mended.schema)
-        for batch in store.batches[:commits]:
-            bare.commit(batch)
-        assert kept(take(mended, bare, 48)) == kept(store)
 
 
 @dataclass(frozen=True)
@@ -269,8 +239,6 @@ def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_fo
     assert (origin[INITIAL_SIZE:] == ACTIVE).all()
     assert [tuple(row) for row in X[:INITIAL_SIZE].tolist()] == order
     assert len(np.unique(X, axis=0)) == BUDGET
-    with one_thread():
-        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
 
 
 def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> None:
@@ -326,9 +294,8 @@ def test_real_workers_answer_in_the_order_of_their_coming_and_the_record_says_al
 ) -> None:
     campaign = plan(Dozing())
     store = MemoryStore(campaign.schema)
-    with executor(3) as workers, one_thread():
+    with executor(3) as workers:
         assert run(campaign, store, workers, BUDGET)
-        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
 
@@ -406,31 +373,3 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
         result = activefail("resume", folder, "--code", tmp_path, "--budget", str(len(in_flight)))
         assert result.code == 0, result.err
         assert {row["x"] for row in record(folder)} == begun() == in_flight
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda flight, answered: flight[:0],
-        lambda flight, answered: flight[:, :1],
-        lambda flight, answered: np.full_like(flight, np.nan),
-        lambda flight, answered: flight + 1e6,
-        lambda flight, answered: np.concatenate([flight[:-1], answered[-1:]]),
-        lambda flight, answered: flight.astype(np.int64),
-    ],
-    ids=["none", "one variable", "NaN", "outside", "answered", "whole numbers"],
-)
-def test_a_saved_flight_that_nobody_asked_for_is_skipped_with_its_classifier(spoil):
-    campaign = disc(asynchronous=True, budget=28)
-    expected, spoilt = MemoryStore(campaign.schema), MemoryStore(campaign.schema)
-    with ThreadExecutor(1) as executor:
-        run(campaign, expected, executor, 20)
-    for batch in expected.batches:
-        spoilt.commit(batch)
-    iteration, state = expected.latest_state()
-    answered = np.concatenate([batch.designs for batch in expected.batches])
-    spoilt.write_state(iteration, state | {"flight/designs": spoil(state["flight/designs"], answered)})
-    with one_thread():
-        course, wanted = resumed(campaign, spoilt), resumed(campaign, expected)
-    assert course.iteration == wanted.iteration
-    assert np.array_equal(course.flight, wanted.flight)

@@ -7,9 +7,9 @@ from campaign.stub import HIGH, LOW, Disc, disc
 
 from activefail.campaign.random_streams import stream
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
 from activefail.loop.history import History
-from activefail.loop.learning import accuracy, current_classifier, learn_from
+from activefail.loop.learning import accuracy, current, learn_from
+from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -38,5 +38,5 @@ def test_a_campaign_whose_initial_design_showed_no_wave_finds_it_and_beats_a_sta
     static = learn_from(campaign, History.of_sample(hypercube, campaign.simulator.run(hypercube)))
     X = campaign.space.sobol(4096, np.random.default_rng(0))
     broken = campaign.simulator.run(X).outcome
-    active = accuracy(current_classifier(campaign, store, write=False), 1, X, broken)
+    active = accuracy(current(campaign, store, write=False).classifier, 1, X, broken)
     assert active > max(0.96, accuracy(static, 1, X, broken))

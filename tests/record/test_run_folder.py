@@ -42,7 +42,11 @@ def batch(n: int, seed: int = 0, iteration: int = 0) -> Batch:
     rng = np.random.default_rng([seed, n])
     codes = rng.integers(0, 2, (3, n)).astype(np.int8)
     return Batch(
-        iteration, rng.normal(size=(n, 2)), codes[0], Results(codes[1], codes[2], rng.random((n, 1)), rng.random(n))
+        iteration,
+        np.arange(n),
+        rng.normal(size=(n, 2)),
+        codes[0],
+        Results(codes[1], codes[2], rng.random((n, 1)), rng.random(n)),
     )
 
 
@@ -86,7 +90,7 @@ WRITES: dict[str, Callable[[FolderStore], None]] = {
     "commit": lambda store: store.commit(batch(4, 2)),
     "state": lambda store: store.write_state(3, {"i": np.array(3)}),
     "set": lambda store: store.write_set("test", np.zeros((3, 2)), batch(3).results),
-    "asked": lambda store: store.write_asked(Asked.of(np.array([7]), np.ones((1, 2)), ACTIVE, 0)),
+    "asked": lambda store: store.hand_out(Asked.of(np.array([7]), np.ones((1, 2)), ACTIVE, 0)),
     "correct": lambda store: store.correct(np.array([1]), batch(1, 5).results),
     "remember": lambda store: store.remember(("a", "b"), {"value": 1.5}),
 }
@@ -698,6 +702,7 @@ BAD = {
     "a column of another type": Event("batch", {"iteration": 0}, columns(margins=np.zeros((2, 1), np.int64))),
     "a correction of nothing": Event("corrected", {}, {"place": np.array([99]), **answers_of(batch(1).results)}),
     "a set of no name": Event("set", {"name": "../x"}, {"designs": np.zeros((2, 2)), **answers_of(batch(2).results)}),
+    "an id twice in a batch": Event("batch", {"iteration": 0}, columns(id=np.zeros(2, np.int64))),
     "designs twice in flight": Event("asked", {}, vars(Asked.of(np.array([1, 1]), np.zeros((2, 2)), ACTIVE, 0))),
     "a result of nothing": Event("result", {"value": 1}, {}),
     "another campaign": Event("campaign", {"settings": "seed = 2", "schema": {"variables": 3}}, {}),

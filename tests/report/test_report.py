@@ -28,9 +28,9 @@ from activefail.figures import curves, outcome_planes, samples, svg
 from activefail.figures.marks import outcome_colour
 from activefail.findings import quantities
 from activefail.findings.results import findings_of
-from activefail.loop.batches import run
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
 from activefail.loop.progress import Observer
+from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.batch import Schema
 from activefail.record.memory import MemoryStore
@@ -88,7 +88,7 @@ class Page(HTMLParser):
 
 def made(campaign: Campaign, folder: Path, store: FolderStore) -> str:
     with one_thread():
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
         judged = evidence.evidence_of(campaign, store, classifier)
         return page.render(findings_of(folder, campaign, store, classifier), judged, store)
 
@@ -194,7 +194,7 @@ def test_the_first_box_says_what_to_do_next(html, folder):
 
     assert step(html) == "activefail verify"
     with open_campaign(folder, write=False) as (campaign, store), one_thread():
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
         found = evidence.evidence_of(campaign, store, classifier)
         findings = findings_of(folder, campaign, store, classifier)
         assert {"error", "curve"} <= set(found.missing)
@@ -253,7 +253,7 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
 
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
     with open_campaign(folder, write=False) as (campaign, store):
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
     scales = np.exp(classifier.latent("failure").trained.hyperparameters.log_lengthscale)
     rows = Page(html).tables["lengths"][1:]
     shown = {row[0]: row[4] for row in rows}

@@ -14,6 +14,7 @@ from commandline import activefail
 from activefail.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, simulate_one
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.provenance import provenance
+from activefail.loop.history import History
 from activefail.loop.learning import classifier_after, saved_current
 from activefail.record.journal import Journal
 
@@ -53,7 +54,7 @@ def test_its_saved_state_is_what_is_learned_from_its_simulations() -> None:
     with open_campaign(STORED, write=False) as (campaign, store):
         assert store.latest_state() is not None
         F = campaign.features(campaign.space.latin_hypercube(200, np.random.default_rng(0)))
-        saved, again = saved_current(campaign, store), classifier_after(campaign, store.batches)
+        saved, again = saved_current(campaign, store), classifier_after(campaign, History.of(store.batches))
         for then, now in zip(saved.latents, again.latents, strict=True):
             # Each objective is maximised to 1e-3 nat.
             assert now.moments(F).probability == pytest.approx(then.moments(F).probability, abs=1e-3)

@@ -11,9 +11,10 @@ from scipy.stats import norm
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
-from activefail.loop.learning import current_classifier
+from activefail.loop.history import History
+from activefail.loop.learning import current
 from activefail.loop.progress import Observer, standing
+from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.surrogate import fitting
@@ -41,7 +42,7 @@ def learned(seed=1, budget=40, **settings):
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, budget)
     with one_thread():
-        return campaign, store, current_classifier(campaign, store, write=False)
+        return campaign, store, current(campaign, store, write=False).classifier
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +147,7 @@ def test_what_a_campaign_found_says_nothing_of_what_it_missed():
         with ThreadExecutor(2) as executor:
             run(campaign, store, executor, 120)
             with one_thread():
-                classifier = current_classifier(campaign, store, write=False)
+                classifier = current(campaign, store, write=False).classifier
                 error = verify(campaign, store, executor, classifier, 3, 100, 0.9)
                 X = campaign.space.from_unit(np.random.default_rng(99).random((20_000, 2)))
                 predicted = classifier.latents[0].moments(campaign.features(X)).mean > 0.0
@@ -165,18 +166,18 @@ def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended()
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor:
         assert run(campaign, store, executor, 200, Observer(progress=seen.append))
-        done = standing(campaign, store.batches, 200).done
+        done = standing(campaign, History.of(store.batches), 200).done
         assert 20 <= done < 200
         looks = [p for p in seen if p.error is not None]
         assert looks[-1] is seen[-1]
         enough = [p.error.is_at_most(0.05, confidence_of_look(0.9, look)) for look, p in enumerate(looks, start=1)]
         assert enough == [p.stop_rule_met for p in looks] == [False] * (len(looks) - 1) + [True]
         assert run(campaign, store, executor, 200)
-        assert standing(campaign, store.batches, 200).done == done
+        assert standing(campaign, History.of(store.batches), 200).done == done
         assert run(campaign, store, executor, done + 10, use_stop_rule=False)
-    assert standing(campaign, store.batches, 200).done == done + 10
+    assert standing(campaign, History.of(store.batches), 200).done == done + 10
     with one_thread():
-        assert true_error(campaign, current_classifier(campaign, store, write=False)) < 0.05
+        assert true_error(campaign, current(campaign, store, write=False).classifier) < 0.05
 
 
 def test_a_rule_counts_its_own_looks_and_none_that_a_user_asked_for():
@@ -188,11 +189,11 @@ def test_a_rule_counts_its_own_looks_and_none_that_a_user_asked_for():
             run(campaign, store, executor, 30)
             if verified_between:
                 with one_thread():
-                    classifier = current_classifier(campaign, store, write=False)
+                    classifier = current(campaign, store, write=False).classifier
                     verify(campaign, store, executor, classifier, 1, 100, 0.9)
                     verify(campaign, store, executor, classifier, 1, 50, 0.9)
             run(campaign, store, executor, 200, Observer(progress=lambda p: looks.append(p.error is not None)))
-        return standing(campaign, store.batches, 200).done, looks_before(store, 100), store
+        return standing(campaign, History.of(store.batches), 200).done, looks_before(store, 100), store
 
     done, looks, store = until_it_ends(False)
     assert done < 200
@@ -208,7 +209,7 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor, one_thread():
         run(campaign, store, executor, 20, use_stop_rule=False)
-        classifier = current_classifier(campaign, store, write=False)
+        classifier = current(campaign, store, write=False).classifier
         before = counting.rows
         verified = verify(campaign, store, executor, classifier, 0, 100, 0.9)
         with (

@@ -8,9 +8,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current
+from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.verification.probability_estimator import Estimator, stored_estimate

@@ -12,11 +12,11 @@ from rare import four_branch
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.execution.local import ThreadExecutor
-from activefail.loop.batches import run
 from activefail.loop.history import History
-from activefail.loop.learning import current_classifier
+from activefail.loop.learning import current
 from activefail.loop.progress import Observer
 from activefail.loop.proposing import search_for_unseen
+from activefail.loop.running import run
 from activefail.opening import create_run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
@@ -98,7 +98,7 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
 
 def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen(searched):
     campaign, store, _ = searched
-    classifier = current_classifier(campaign, store, write=False)
+    classifier = current(campaign, store, write=False).classifier
     missing = search_for_unseen(campaign, History.of(store.batches[:6]), classifier)
     assert missing.outcomes == ("failure",)
     assert np.array_equal(missing.known, np.concatenate([batch.designs for batch in store.batches[:6]]))
