@@ -11,11 +11,9 @@ import subprocess
 import sys
 import threading
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from cases import some
@@ -23,7 +21,7 @@ from commandline import CommandResult, activefail, holding, record, refused, set
 from patience import PATIENCE, until
 
 from activefail import __version__
-from activefail.bearing import TABLE_1, simulate
+from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import read_settings
@@ -103,57 +101,27 @@ def test_the_help_lists_every_command_and_loads_neither_learning_nor_physics() -
     assert [name for name in ("torch", "numba", "h5py", "matplotlib") if f"'{name}'" in loaded] == []
 
 
-@pytest.mark.parametrize("option", ["--help", "-h"])
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_a_help(command: str, option: str) -> None:
-    result = activefail(command, option)
-    assert (result.code, result.err) == (0, "")
-    assert f"activefail {command}" in result.out
-
-
 def test_one_design_as_json_has_the_figures_of_its_table_and_nothing_else_on_standard_output(tmp_path: Path) -> None:
-    (tmp_path / "one.csv").write_text(
-        "T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p\n4,0.06,0.6,0.6,0.1,45,2e9,2.5,0.5\n"
-    )
-    words = [
-        "--t-b",
-        "4",
-        "--mu",
-        "0.06",
-        "--d-tot",
-        "0.6",
-        "--h-sl-ratio",
-        "0.6",
-        "--h-rim-ratio",
-        "0.1",
-        "--p",
-        "45",
-        "--k",
-        "2e9",
-        "--t-p",
-        "2.5",
-        "--a-p",
-        "0.5",
-    ]
-    shown = activefail("simulate", *words, "--json", "--plot", tmp_path / "one.png")
+    (tmp_path / "one.csv").write_text(f"{HEADER}\n{ROW}\n")
+    table_of = ("--csv", tmp_path / "one.csv", "--out", tmp_path / "out.csv")
+    shown = activefail("simulate", *design(), "--json", "--plot", tmp_path / "one.png")
     figures = json.loads(shown.out)
     assert f"plot       {tmp_path / 'one.png'}" in shown.err
-    assert activefail("simulate", "--csv", tmp_path / "one.csv", "--out", tmp_path / "out.csv").code == 0
+    assert activefail("simulate", *table_of).code == 0
     (row,) = table(tmp_path / "out.csv")
     assert (figures["outcome"], figures["cause"]) == (row["outcome"], row["cause"])
     # The motion of one design is followed to its end.
     for name in ("first_touch_time", "failure_time"):
         assert figures["margins"][name] == float(row[name])
-    refused(
-        activefail("simulate", "--csv", tmp_path / "one.csv", "--out", tmp_path / "o.csv", "--json"),
-        "--csv cannot be combined with --json, which is for one design",
-    )
+    refused(activefail("simulate", *table_of, "--json"), "--csv cannot be combined with --json")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_every_command_ends_with_an_example_that_it_takes(command: str) -> None:
-    last = activefail(command, "--help").out.rstrip().split("\n\n")[-1]
-    example = " ".join(last.split())
+    shown = activefail(command, "--help")
+    assert (shown.code, shown.err) == (0, "")
+    assert activefail(command, "-h") == shown
+    example = " ".join(shown.out.rstrip().split("\n\n")[-1].split())
     assert example.startswith(f"Example: activefail {command}")
     words = shlex.split(example.removeprefix(f"Example: activefail {command}"))
     assert typer.main.get_command(app).commands[command].make_context(command, words).params
@@ -207,18 +175,9 @@ def test_shells_complete_commands_and_options() -> None:
     ("words", "says"),
     [
         (["explode"], "No such command 'explode'"),
-        (["status"], "Missing argument"),
-        (["run", "c.toml"], "Missing option '--out'"),
         (["simulate", "--speed", "3"], "No such option: --speed"),
         (["simulate", "--mu", "rough"], "Invalid value for '--mu': must be a valid number, got 'rough'"),
-        (["run", "c.toml", "--out", "x", "--workers", "0"], "Invalid value for '--workers'"),
-        (
-            ["run", "c.toml", "--out", "x", "--seed", "1.5"],
-            "Invalid value for '--seed': must be a valid integer, got '1.5'",
-        ),
         (["compare", "x", "--test", "9"], "Invalid value for '--test': must be greater than or equal to 10, got '9'"),
-        (["verify", "x", "--confidence", "90"], "'--confidence': must be less than or equal to 0.999, got '90'"),
-        (["explore", "x", "--port", "99999"], "'--port': must be less than or equal to 65535, got '99999'"),
         (["run", "c.toml", "--out", "x", "--executor", "pbs"], "'--executor': 'pbs' is not one of 'local', 'dask'"),
     ],
 )
@@ -236,21 +195,6 @@ def test_without_a_command_the_help_is_shown_and_the_exit_code_says_that_nothing
 
 
 # --- simulate ----------------------------------------------------------------------------------------------------
-
-
-def test_one_design_is_simulated_as_the_library_does() -> None:
-    result = activefail("simulate", *design())
-    answer = simulate(np.array([[float(value) for value in DESIGN.values()]]))
-    assert (result.code, result.err) == (0, "")
-    assert re.search(rf"^outcome +{answer.outcome_name[0]} \(\w+\)$", result.out, re.MULTILINE)
-    for label, margin in (
-        ("impact", "first_touch_time"),
-        ("failure", "failure_time"),
-        ("x / D_tot", "peak_displacement_ratio"),
-        ("F_rim / Mg", "peak_rim_force_ratio"),
-        ("tilt", "peak_tilt"),
-    ):
-        assert re.search(rf"^{label} +{answer.margin(margin)[0]:.3f} ", result.out, re.MULTILINE)
 
 
 def test_without_an_impact_no_impact_is_told() -> None:
@@ -300,25 +244,19 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
     ("words", "parts"),
     [
         ([], ["missing: --t-b, --mu, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --k, --t-p, --a-p", "--csv and --out"]),
-        (["--mu", "0.1", "--k", "2e9"], ["missing: --t-b, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --t-p, --a-p"]),
         (["--csv", "in.csv"], ["--csv requires --out"]),
         (["--csv", "in.csv", "--out", "o.csv", "--mu", "0.1"], ["--csv cannot be combined with --mu"]),
         (["--csv", "in.csv", "--out", "o.csv", "--plot", "p.png"], ["--csv cannot be combined with --plot"]),
-        (["--csv", "in.csv", "--out", "o.csv", "--animate", "a.gif"], ["--csv cannot be combined with --animate"]),
-        (["--csv", "none.csv", "--out", "o.csv"], ["none.csv: cannot be read: No such file or directory"]),
+        (["--csv", "none.csv", "--out", "o.csv"], ["none.csv: cannot be read"]),
         ([*design(), "--out", "o.csv"], ["--out requires --csv"]),
-        ([*design(), "--plot", "p.jpeg"], ["p.jpeg: the name of a plot must end in .png, .svg or .pdf"]),
-        ([*design(), "--plot", "plot"], ["plot: the name of a plot must end in"]),
-        ([*design(), "--animate", "a.avi"], ["a.avi: the name of an animation must end in .gif or .mp4"]),
-        ([*design(), "--plot", "none/p.png"], ["none/p.png: the folder", "does not exist"]),
+        ([*design(), "--plot", "p.jpeg"], ["p.jpeg", ".png, .svg or .pdf"]),
+        ([*design(), "--animate", "a.avi"], ["a.avi", ".gif or .mp4"]),
         ([*design(), "--animate", "none/a.gif"], ["none/a.gif: the folder", "does not exist"]),
-        (design(mu="0"), ["`mu > 0` must hold, got 0.0"]),
         (design(mu="nan"), ["`mu > 0` must hold, got nan"]),
-        (design(t_p="-1"), ["> 0` must hold, got -1.0"]),
-        (design(t_b="1e308"), ["`-1e+75 <= T_b <= 1e+75` must hold, got 1e+308"]),
-        (design(a_p="inf"), ["must be finite, got inf"]),
+        (design(t_p="-1"), ["T_p", "> 0` must hold, got -1.0"]),
+        (design(a_p="inf"), ["A_p", "must be finite, got inf"]),
         (design(d_tot="20"), ["`dish_diameter < 2 radius`", "20.3"]),
-        ([*design(), "--restitution", "elastic"], ["`restitution` must be one of pairwise, assembly, got 'elastic'"]),
+        ([*design(), "--restitution", "elastic"], ["`restitution`", "pairwise, assembly", "'elastic'"]),
         ([*design(), "--tolerance", "1"], ["1e-12 <= relative <= 1e-2", "got 1.0"]),
         ([*design(), "--slider-diameter", "0"], ["`slider_diameter > 0` must hold, got 0.0"]),
         ([*design(), "--friction-velocity", "-1"], ["`friction_velocity > 0` must hold, got -1.0"]),
@@ -330,30 +268,6 @@ def test_a_design_or_options_that_break_a_rule_are_refused(
     monkeypatch.chdir(tmp_path)
     refused(activefail("simulate", *words), *parts)
     assert os.listdir(tmp_path) == []
-
-
-@pytest.mark.parametrize(
-    ("option", "value"), [("--t-p", "0"), ("--k", "-1"), ("--p", "0"), ("--a-p", "inf"), ("--h-rim-ratio", "-2")]
-)
-def test_a_value_that_breaks_a_rule_is_told_by_a_name_that_the_user_knows(option: str, value: str) -> None:
-    name = option.removeprefix("--").replace("-", "_")
-    result = activefail("simulate", *design(**{name: value}))
-    refused(result, value)
-    assert option in result.err or re.search(rf"\b{name}\b", result.err, re.IGNORECASE)
-
-
-def test_a_bad_row_of_a_table_is_named_and_nothing_is_written(tmp_path: Path) -> None:
-    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n{ROW.replace('0.06', 'rough')}\n")
-    result = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    refused(result, f"{tmp_path / 'in.csv'}: row 2 (line 3), column mu: must be a number, got 'rough'.")
-    assert os.listdir(tmp_path) == ["in.csv"]
-
-
-def test_a_plot_that_cannot_be_written_is_named_with_the_reason(tmp_path: Path) -> None:
-    (tmp_path / "p.png").mkdir()
-    result = activefail("simulate", *design(), "--plot", tmp_path / "p.png")
-    assert result.code == 2
-    assert result.err == f"activefail: {tmp_path / 'p.png'}: cannot be written: Is a directory.\n"
 
 
 # --- run and resume ----------------------------------------------------------------------------------------------
@@ -381,13 +295,7 @@ def test_the_run_folder_keeps_the_settings_with_the_command_lines_seed_and_budge
     assert len(record(tmp_path / "run")) == 22
 
 
-def test_the_command_line_and_the_library_run_the_same_campaign(
-    tiny: Path, ran: tuple[Path, CommandResult], tmp_path: Path
-) -> None:
-    assert record(halted(tiny, tmp_path / "run", 99)) == record(ran[0])
-
-
-@pytest.mark.parametrize("batches", [0, 2, 5])
+@pytest.mark.parametrize("batches", [2, 5])
 def test_a_campaign_that_was_stopped_is_resumed_to_the_uninterrupted_one(
     tiny: Path, ran: tuple[Path, CommandResult], tmp_path: Path, batches: int
 ) -> None:
@@ -409,89 +317,41 @@ def test_a_finished_campaign_is_resumed_to_itself_and_beyond_its_budget_when_ask
     assert {row["origin"] for row in after[30:]} == {"active"}
 
 
-def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(
-    tiny: Path, ran: tuple[Path, CommandResult]
+def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(
+    tiny: Path, ran: tuple[Path, CommandResult], tmp_path: Path
 ) -> None:
-    result = activefail("run", tiny, "--out", ran[0])
-    refused(result, f"{ran[0]}: already holds a campaign", f"`activefail resume {ran[0]}`")
-
-
-def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, tmp_path: Path) -> None:
+    refused(activefail("run", tiny, "--out", ran[0]), str(ran[0]), f"`activefail resume {ran[0]}`")
     (tmp_path / "thesis.tex").touch()
     refused(activefail("run", tiny, "--out", tmp_path), "is not empty (it holds thesis.tex)")
     assert os.listdir(tmp_path) == ["thesis.tex"]
-
-
-def test_a_run_folder_that_cannot_be_made_is_named(tiny: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "loop").symlink_to("loop")
-    for place, reason in (
-        (tmp_path / "file", "cannot be a run folder: Not a directory"),
-        (tmp_path / "file" / "run", "cannot be a run folder: Not a directory"),
-        (tmp_path / "loop", "cannot be a run folder: File exists"),
-        (tmp_path / ("n" * 300), "File name too long"),
-    ):
-        refused(activefail("run", tiny, "--out", place), str(place), reason)
+    place = tmp_path / "thesis.tex" / "run"
+    refused(activefail("run", tiny, "--out", place), f"{place}: cannot be a run folder: Not a directory")
 
 
 @pytest.mark.parametrize(
-    ("content", "parts"),
+    ("content", "words", "parts"),
     [
-        (None, ["mine.toml: cannot be read: No such file or directory"]),
-        (b"seed = ", ["mine.toml: not valid TOML"]),
-        (b'description = "\xfc"', ["mine.toml: not UTF-8 text"]),
-        (b"sead = 1", ["mine.toml:", "sead: unknown key"]),
-        (b"sampling = {initial = 9, budget = 8}", ["`initial <= budget` must hold, got 9 and 8"]),
+        (None, [], ["mine.toml: cannot be read: No such file or directory"]),
+        ("seed = ", [], ["mine.toml: not valid TOML"]),
+        ("sead = 1", [], ["mine.toml:", "sead: unknown key"]),
+        ('acquisition.boundary = "collapse"', [], ["mine.toml", "boundary: must be one of impact, failure"]),
+        (TINY, ["--budget", "10"], ["command line", "`initial <= budget` must hold, got 20 and 10"]),
+        (TINY, ["--seed", "-1"], ["command line", "seed: must be greater than or equal to 0, got -1"]),
     ],
 )
-def test_a_campaign_file_with_a_mistake_is_refused_before_a_run_folder_is_made(
-    content: bytes | None, parts: list[str], tmp_path: Path
+def test_a_campaign_with_a_mistake_is_refused_before_a_run_folder_is_made(
+    content: str | None, words: list[str], parts: list[str], tmp_path: Path
 ) -> None:
     if content is not None:
-        (tmp_path / "mine.toml").write_bytes(content)
-    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), *parts)
+        (tmp_path / "mine.toml").write_text(content)
+    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run", *words), *parts)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "part"),
-    [
-        ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
-        ("space.mu = {low = 0.1, high = 0.2}", "lacks the variable 'T_b'"),
-        ('space."T b" = {low = 1, high = 2}', "must be an identifier, got 'T b'"),
-    ],
-)
-def test_a_campaign_whose_pieces_do_not_fit_is_refused_by_the_name_of_its_file(
-    content: str, part: str, tmp_path: Path
-) -> None:
-    (tmp_path / "mine.toml").write_text(content)
-    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), part, "mine.toml")
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        (["--budget", "10"], "command line:\n  sampling: `initial <= budget` must hold, got 20 and 10"),
-        (["--seed", "-1"], "command line:\n  seed: must be greater than or equal to 0, got -1"),
-    ],
-)
-def test_a_seed_or_budget_that_breaks_a_rule_is_refused_as_the_command_lines(
-    tiny: Path, tmp_path: Path, words: list[str], part: str
-) -> None:
-    refused(activefail("run", tiny, "--out", tmp_path / "run", *words), part)
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("budget", ["1", "0", "-3"])
-def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -> None:
-    refused(activefail("resume", folder, "--budget", budget), f"budget: must be at least 2, got {budget}")
 
 
 def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
     before = record(folder)
-    rule = "budget: must be at least 30, the number of recorded simulations that count towards it, got 29"
-    refused(activefail("resume", folder, "--budget", "29"), rule)
+    for budget, least in (("-3", 2), ("29", 30)):
+        refused(activefail("resume", folder, "--budget", budget), f"budget: must be at least {least}", f"got {budget}")
     assert activefail("resume", folder, "--budget", "30").code == 0
     assert record(folder) == before
 
@@ -513,14 +373,9 @@ def test_what_is_no_run_folder_is_refused_by_every_command_and_left_alone(comman
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
     for name in ("none", "empty", "file"):
-        result = activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command])
-        # `compare` takes a campaign file too.
-        reason = "; it is a file" if name == "file" and command != "compare" else ""
-        refused(result, f"{tmp_path / name}: is not a run folder{reason}")
+        refused(activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command]), f"{name}: is not a run folder")
     assert sorted(os.listdir(tmp_path)) == ["empty", "file"]
     assert os.listdir(tmp_path / "empty") == []
-    long = tmp_path / ("n" * 300)
-    refused(activefail(command, long, *COMMANDS_ON_FOLDERS[command]), str(long), "File name too long")
 
 
 @pytest.mark.faults
@@ -556,55 +411,12 @@ def test_the_status_names_every_target_boundary_with_its_share(tiny: Path, tmp_p
     assert "entropy at the failure boundary (75 %) and the impact boundary (25 %)" in result.out
 
 
-def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tuple[Path, CommandResult]) -> None:
-    result = activefail("status", ran[0])
-    assert (result.code, result.err) == (0, "")
-    assert "dfp, 9 variables, seed 3" in result.out
-    assert "rbf on paper features, entropy at the failure boundary" in result.out
-    assert "done       30 of 30 simulations, iteration 2" in result.out
-    rows = record(ran[0])
-    for title, origins in (("initial", {"seed"}), ("chosen", {"active"}), ("all", {"seed", "active"})):
-        outcomes = [row["outcome"] for row in rows if row["origin"] in origins]
-        counts = ", ".join(f"{outcomes.count(name)} {name}" for name in ("no_impact", "impact", "failure"))
-        assert f"{title:<10} {counts}, 0 numerical failures\n" in result.out
-    assert "resume" not in result.out
-
-
-def test_the_figures_of_status_verify_and_compare_are_printed_as_json_too(folder: Path) -> None:
-    rows = record(folder)
-    status = json.loads(activefail("status", folder, "--json").out)
-    assert (status["simulations"], status["counts"]["all"]["failure"]) == (
-        len(rows),
-        [row["outcome"] for row in rows].count("failure"),
-    )
-    assert status["counts"]["chosen"].keys() == {"no_impact", "impact", "failure", "numerical_failure"}
-    verify = json.loads(activefail("verify", folder, "--simulations", "10", "--json").out)
-    assert verify["low"] <= verify["error"] <= verify["high"]
-    assert verify["simulations"] + verify["numerical_failures"] == 10
-    options = ("--budgets", "30", "--static", "20,30", "--seeds", "2", "--test", "20")
-    compare = json.loads(activefail("compare", folder, *options, "--json").out)
-    assert [(one["simulations"], one["hypercube"]) for one in compare["scores"]] == [
-        (30, 0),
-        (20, 0),
-        (20, 1),
-        (30, 0),
-        (30, 1),
-    ]
-    assert compare["equivalent"]["series"] == 2
-
-
 @pytest.mark.parametrize("batches", [0, 3])
 def test_the_status_of_a_campaign_that_was_stopped_says_how_to_go_on(tiny: Path, tmp_path: Path, batches: int) -> None:
-    folder = halted(tiny, tmp_path / "run", batches)
+    folder = halted(tiny, tmp_path / "my run", batches)
     result = activefail("status", folder)
-    assert result.code == 0
     assert f"done       {5 * batches} of 30 simulations, iteration 0" in result.out
-    assert result.out.splitlines()[-1] == f"continue   activefail resume {folder}"
-
-
-def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny: Path, tmp_path: Path) -> None:
-    folder = halted(tiny, tmp_path / "my run", 0)
-    line = activefail("status", folder).out.splitlines()[-1]
+    line = result.out.splitlines()[-1]
     assert shlex.split(line.removeprefix("continue")) == ["activefail", "resume", str(folder)]
 
 
@@ -620,11 +432,6 @@ def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_
     ]
     activefail("resume", folder, "--ignore-stop", "--budget", "25")
     assert activefail("status", folder).out.splitlines()[-1] == f"continue   activefail resume {folder}"
-
-
-def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_did_more_than_all(folder: Path) -> None:
-    activefail("resume", folder, "--budget", "32")
-    assert "32 of 30" not in activefail("status", folder).out
 
 
 def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: Path, tmp_path: Path) -> None:
@@ -650,19 +457,15 @@ def test_predictions_do_not_need_what_was_saved_of_the_learning(folder: Path, tm
 @pytest.mark.parametrize(
     ("content", "part"),
     [
-        (f"{HEADER}\n{ROW},1\n", "row 1 (line 2), must have 9 cells"),
-        (f"{HEADER}\n{ROW.replace('0.06', '')}\n", "row 1 (line 2), column mu: must be a number, got ''"),
+        (f"{HEADER}\n{ROW.replace('0.06', 'rough')}\n", "row 1 (line 2), column mu: must be a number, got 'rough'"),
         (f"{HEADER}\n{ROW.replace('0.06', '0')}\n", "row 1 (line 2), column mu: `mu > 0` must hold, got 0"),
         (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': would be overwritten by the output"),
-        ("", "is empty"),
-        (None, "cannot be read: No such file or directory"),
     ],
 )
 def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(
-    folder: Path, tmp_path: Path, content: str | None, part: str
+    folder: Path, tmp_path: Path, content: str, part: str
 ) -> None:
-    if content is not None:
-        (tmp_path / "in.csv").write_text(content)
+    (tmp_path / "in.csv").write_text(content)
     result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     refused(result, f"{tmp_path / 'in.csv'}", part)
     assert not (tmp_path / "out.csv").exists()
@@ -679,17 +482,22 @@ def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path
     assert record(folder) == []
 
 
-def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder: Path, tmp_path: Path) -> None:
+def test_where_an_output_cannot_be_written_its_name_and_the_reason_are_told(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
-    for target, reason in (
-        (tmp_path / "none" / "out.csv", "No such file or directory"),
-        (folder, "Is a directory"),
-        (tmp_path / ("n" * 300), "File name too long"),
-    ):
+    for target, reason in ((tmp_path / "none" / "out.csv", "No such file or directory"), (folder, "Is a directory")):
         part = f"{target}: cannot be written: {reason}."
         refused(activefail("export", folder, "--csv", target), part)
         refused(activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", target), part)
         refused(activefail("simulate", "--csv", tmp_path / "in.csv", "--out", target), part)
+    (tmp_path / "p.png").mkdir()
+    (folder / "compare").touch()
+    for target, reason, words in (
+        (tmp_path / "p.png", "Is a directory", ("simulate", *design(), "--plot", tmp_path / "p.png")),
+        (folder / "compare", "File exists", ("compare", folder, "--budgets", "20", "--test", "10")),
+    ):
+        result = activefail(*words)
+        assert result.code == 2
+        assert f"activefail: {target}: cannot be written: {reason}" in result.err
 
 
 @pytest.mark.parametrize(
@@ -732,47 +540,34 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
     result = activefail("compare", folder, "--budgets", "30,20,30", "--test", "60")
     assert result.code == 0
     results = folder / "compare"
-    rows = table(results / "scores.csv")
-    assert [(row["sampling"], row["simulations"]) for row in rows] == [
-        ("active", "20"),
-        ("active", "30"),
-        ("static", "20"),
-        ("static", "30"),
-    ]
+    rows = {(row["simulations"], row["sampling"]): row for row in table(results / "scores.csv")}
     lines = result.out.splitlines()
     assert "failure accuracy" in lines[0]
-    printed = [line.split() for line in lines[1:5]]
-    assert [(words[1], words[0]) for words in printed] == [
-        ("active", "20"),
-        ("static", "20"),
-        ("active", "30"),
-        ("static", "30"),
-    ]
-    for words in printed:
-        (row,) = [row for row in rows if (row["sampling"], row["simulations"]) == (words[1], words[0])]
-        assert float(words[2]) == pytest.approx(100.0 * float(row["accuracy"]), abs=0.005)
+    printed = {(words[0], words[1]): words[2] for words in map(str.split, lines[1:5])}
+    assert list(printed) == [("20", "active"), ("20", "static"), ("30", "active"), ("30", "static")]
+    assert rows.keys() == printed.keys()
+    for key, row in rows.items():
+        assert float(printed[key]) == pytest.approx(100.0 * float(row["accuracy"]), abs=0.005)
         assert (row["test_designs"], row["test_unanswered"]) == ("60", "0")
     assert (results / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert (results / "learning_curves.svg").read_text().startswith("<?xml")
-    assert str(results / "scores.csv") in result.out
     # The campaign is what it was.
     assert len(record(folder)) == 30
 
 
-@pytest.mark.parametrize("budgets", ["", "many", "20;30", "20,", "20,30.5", "1e2"])
-def test_budgets_that_are_no_whole_numbers_are_refused(folder: Path, budgets: str) -> None:
-    result = activefail("compare", folder, "--budgets", budgets)
-    refused(result, f"--budgets: must be whole numbers separated by commas, got {budgets!r}")
-
-
-@pytest.mark.parametrize(("budgets", "wrong"), [("20,31", 31), ("1", 1), ("0,20", 0), ("-5", -5)])
+@pytest.mark.parametrize(
+    ("budgets", "rule"),
+    [
+        ("many", "--budgets: must be whole numbers separated by commas, got 'many'"),
+        ("20,30.5", "--budgets: must be whole numbers separated by commas, got '20,30.5'"),
+        ("20,31", "budgets: must be between 2 and the 30 recorded simulations, got 31"),
+        ("-5", "budgets: must be between 2 and the 30 recorded simulations, got -5"),
+    ],
+)
 def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simulated(
-    folder: Path, budgets: str, wrong: int
+    folder: Path, budgets: str, rule: str
 ) -> None:
-    refused(
-        activefail("compare", folder, f"--budgets={budgets}"),
-        f"budgets: must be between 2 and the 30 recorded simulations, got {wrong}",
-    )
+    refused(activefail("compare", folder, f"--budgets={budgets}"), rule)
     assert sets(folder) == {}
 
 
@@ -791,21 +586,12 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     # The same pictures would be drawn each time.
     monkeypatch.setattr("activefail.report.folder.save_png_and_svg", lambda *drawn: [])
-    repeated = activefail(*words, "--out", tmp_path / "out")
-    assert repeated.out == result.out
-    assert repeated.err == ""
+    assert activefail(*words, "--out", tmp_path / "out") == CommandResult(0, result.out, "")
     shown = json.loads(activefail(*words, "--out", tmp_path / "out", "--json").out)
     assert shown["page"] == str(tmp_path / "out" / "comparison.md")
-    rows = table(tmp_path / "out" / "scores.csv")
-    assert len(rows) == len(shown["scores"]) == len(shown["over_seeds"])
-    for row, score, spread in zip(rows, shown["scores"], shown["over_seeds"], strict=True):
-        assert {
-            name: str(score[name]) for name in ("features", "sampling", "seed", "simulations")
-        }.items() <= row.items()
+    for row, score in zip(table(tmp_path / "out" / "scores.csv"), shown["scores"], strict=True):
         for name, value in score["measures"].items():
             assert value == (float(row[name]) if row[name] else None)
-            # One seed: no spread.
-            assert spread["measures"][name] == dict.fromkeys(("median", "lowest", "highest"), value)
 
 
 @pytest.mark.parametrize(
@@ -814,7 +600,6 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
         ((), "--out: required"),
         (("--out", "out", "--budgets", "20"), "--budgets: only for the comparison of a run folder"),
         (("--out", "out", "--static", "1,20"), "--static: must be at least 2, got 1"),
-        (("--out", "out", "--static", "x"), "--static: must be whole numbers"),
         (("--out", "out", "--criteria", "entropic"), "acquisition.criterion: must be"),
         (("--out", "out", "--features", "papers"), "classifier.features: must be"),
     ],
@@ -874,60 +659,22 @@ def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_com
     assert record(folder) == before
 
 
-@contextmanager
-def ended(process: subprocess.Popen[str]) -> Iterator[None]:
-    """The process ends with the block, so that none is left running by a failed test."""
-    try:
-        yield
-    finally:
-        process.kill()
-
-
 def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> None:
-    words = [sys.executable, "-m", "activefail.cli", "explore", str(folder), "--port", "0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server, ended(server):
+    with started("explore", folder, "--port", "0") as server:
         assert server.stdout is not None
-        result = server.stdout.readline()
-        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", result)
-        assert address is not None, result
+        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", server.stdout.readline())
+        assert address is not None
         with urllib.request.urlopen(address[1], timeout=PATIENCE) as page:
             assert "This design" in page.read().decode()
         server.send_signal(signal.SIGINT)
         _, err = server.communicate(timeout=PATIENCE)
-    assert server.returncode == 0
-    assert err.splitlines()[-1] == "stopped"
+    assert (server.returncode, err.splitlines()[-1]) == (0, "stopped")
     assert "Traceback" not in err
 
 
-def test_a_port_that_is_none_is_refused(folder: Path) -> None:
-    assert activefail("explore", folder, "--port", "70000").code == 2
-
-
-def test_a_report_that_cannot_be_written_is_refused_by_its_place(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # What would be on the page does not matter.
-    monkeypatch.setattr("activefail.report.page.render", lambda *findings: "a page")
-    refused(
-        activefail("report", folder, "--out", tmp_path / "page.pdf"),
-        "page.pdf: the name of a report must end in .html or .htm",
-    )
-    refused(
-        activefail("report", folder, "--out", tmp_path / "none" / "page.html"),
-        "page.html: the folder",
-        "none does not exist",
-    )
-    (folder / "report.html").mkdir()
-    result = activefail("report", folder)
-    assert result.code == 2
-    assert result.err.splitlines()[-1] == f"activefail: {folder / 'report.html'}: cannot be written: Is a directory."
-
-
-def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -> None:
-    (folder / "compare").touch()
-    result = activefail("compare", folder, "--budgets", "20", "--test", "10")
-    assert result.code == 2
-    assert f"activefail: {folder / 'compare'}: cannot be written: File exists" in result.err
+def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
+    for place, rule in (("page.pdf", ".html or .htm"), ("none/page.html", "does not exist")):
+        refused(activefail("report", folder, "--out", tmp_path / place), str(tmp_path / place), rule)
 
 
 # --- signals and pipes -------------------------------------------------------------------------------------------
@@ -971,7 +718,7 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
 @pytest.mark.faults
 @pytest.mark.parametrize(
     ("first", "second"),
-    [(signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGTERM), (signal.SIGINT, signal.SIGTERM)],
+    [(signal.SIGINT, signal.SIGINT), (signal.SIGINT, signal.SIGTERM)],
 )
 def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
     tmp_path: Path, first: signal.Signals, second: signal.Signals
@@ -1104,21 +851,6 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
     assert list((tmp_path / "paper").iterdir()) == []
 
 
-@pytest.mark.exhaustive
-@pytest.mark.faults
-def test_a_worker_process_that_is_killed_ends_the_reproduction_with_a_message(tmp_path: Path) -> None:
-    words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
-    with holding("activefail.paper.study:study_draw", *words) as running:
-        process = running.process
-        worker = running.wait()[0]
-        assert worker != process.pid
-        os.kill(worker, signal.SIGKILL)
-        _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1, err
-    assert err.splitlines()[-1].startswith("activefail: A worker process died")
-    assert "Traceback" not in err
-
-
 @pytest.mark.faults
 def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the_same_command_goes_on(
     tmp_path: Path,
@@ -1134,19 +866,6 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
     )
     result = activefail(*words, "--static", "20")
     assert result.code == 0, result.err
-
-
-@pytest.mark.exhaustive
-@pytest.mark.faults
-def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
-    words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
-        running.wait()
-        running.process.send_signal(signal.SIGINT)
-        wait_for(running.process.stderr, "stopping after this batch")
-        err = struck_as_by_a_terminal(running.process)
-    assert err.splitlines()[-1].startswith(f"stopped; scores are kept in {tmp_path / 'compared'}.")
 
 
 @pytest.mark.faults
@@ -1174,7 +893,7 @@ def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_
     assert os.listdir(tmp_path) == ["in.csv"]
 
 
-@pytest.mark.parametrize("encoding", some(["ascii", "latin-1", "utf-8"], "ascii", "utf-8"))
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
 def test_what_the_terminal_has_no_letters_for_is_written_by_its_number(
     tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
