@@ -278,9 +278,7 @@ def test_quantiles_of_weighted_values_are_the_least_that_hold_the_share() -> Non
     ("X", "weight", "message"),
     [
         ([[1.0]], [-1.0], "row 1, column weight: must be at least 0, got -1.0."),
-        ([[1.0]], [math.nan], "row 1, column weight"),
         ([[1.0]], [0.0], "at least one weight must be positive"),
-        ([[math.inf]], [1.0], "row 1: must be finite"),
         ([[1.0, 2.0]], [1.0], "must have the shape"),
     ],
 )
@@ -316,48 +314,7 @@ def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, c
         hazard_question(read, settings.design_space(), {})
 
 
-def test_what_is_left_out_is_said(tmp_path: Path) -> None:
-    said = " ".join(asked(tmp_path, PERIOD + PGV).assumptions)
-    assert "no property bounds" in said
-    assert "Only the pulses are uncertain" in said
-    assert "no curve of annual rates" in said
-
-
 # --- questions ---------------------------------------------------------------------------------------------------
-
-OLD = """
-simulator = { python = "limit:plane", margins = ["g"] }
-correlation = [["x", "y", 0.5]]
-[space]
-x = { distribution = "normal", mean = 0, sd = 1, unit = "m" }
-y = { distribution = "normal", mean = 0, sd = 1 }
-z = { low = -1, high = 1 }
-w = { value = 2.0 }
-"""
-
-
-@pytest.mark.parametrize(
-    ("text", "digest"),
-    [
-        ("z = { value = 0.5 }", "2d91e65e2ec42243172ef8b496c0b1545853534824231f96332431d8c7287afb"),
-        (
-            "z = { low = -2, high = 2 }\ny = { value = -1.5 }",
-            "6a96fc2311975c0e08ac7cbec3729e95f000a2a993e1acad810f298712ca8b4d",
-        ),
-        (
-            'x = { low = 0, high = 2, unit = "m" }',
-            "a8f8261194f342f49821cb68d255667c687c1c728559aa199b3f378cd03b1f76",
-        ),
-    ],
-)
-def test_questions_have_the_digests_that_they_had_before_there_were_hazards(
-    tmp_path: Path, text: str, digest: str
-) -> None:
-    # The stored simulations of a question are found by its digest.
-    settings = parse_settings(OLD, "old.toml")
-    path = tmp_path / "question.toml"
-    path.write_text(f"[space]\n{text}\n")
-    assert read_question(path, settings.design_space(), {}).digest == digest
 
 
 def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: Path) -> None:
@@ -405,26 +362,16 @@ WRONG = [
     (PGV, "requires `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them"),
     (PERIOD, "`pulse_period` requires `pgv`, which is missing; `samples` may replace both"),
     ("[magnitude]\nM = 7\n" + PERIOD + PGV, "`magnitude` cannot be combined with `pulse_period`"),
-    (f'samples = "a.csv"\n{PGV}', "`samples` cannot be combined with `pgv`"),
-    ('samples = ""\n', "samples: "),
     (PERIOD + PGV.replace("0.8", "80"), f"pgv.median_m_s: must be at most 5 m/s, got 80{UNIT}"),
-    (PERIOD + PGV.replace("0.3", "0"), "pgv.dispersion: must be greater than or equal to 0.001, got 0"),
-    (PERIOD + PGV.replace("0.8", "nan"), "pgv.median_m_s: must be a finite number, got nan"),
-    (PERIOD + PGV.replace("0.8", '"0.8"'), "pgv.median_m_s: must be a valid number, got '0.8'"),
-    (PERIOD.replace("acceleration", "wavelet") + PGV, "pulse_period.definition: must be 'velocity' or 'acceleration'"),
-    (PERIOD + PGV.replace("[pgv]", "[pvg]"), "pvg: unknown key; did you mean 'pgv'?"),
     (
         PERIOD + PGV + "correlation_with_period = 1.0\n",
         "pgv.correlation_with_period: must be less than or equal to 0.99",
     ),
-    ("magnitude = 7\n" + PGV, "magnitude: must be a table of keys and values, got 7"),
-    ('[magnitude]\nM = 7\nrelation = "baker"\n' + PGV, "magnitude.relation: must be 'shahi-baker-2011', 'baker-2007'"),
     (
         '[magnitude]\nM = 7\nrelation = "somerville-2003-rock"\n' + PGV,
         "magnitude: the relation 'somerville-2003-rock' comes without a dispersion; set `dispersion`",
     ),
     (PERIOD + PGV + "[properties]\nmu_lower = 1.2\n", "properties.mu_lower: must be less than or equal to 1, got 1.2"),
-    (PERIOD + PGV + "[record_factor]\nbias = 3\n", "record_factor.bias: must be less than or equal to 1, got 3"),
     (
         PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1]\n",
         "curve.annual_rate: must have at least 2 entries",
@@ -435,11 +382,6 @@ WRONG = [
     ),
     (PERIOD + PGV + "[curve]\npgv_m_s = [2, 1]\nannual_rate = [0.1, 0.01]\n", "curve.pgv_m_s: must increase"),
     (PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.1]\n", "curve.annual_rate: must decrease"),
-    (
-        PERIOD + PGV + "[curve]\npgv_m_s = [20, 200]\nannual_rate = [0.1, 0.01]\n",
-        f"curve.pgv_m_s: must be at most 10 m/s, got 200{UNIT}",
-    ),
-    ("[pgv\n", "not valid TOML"),
 ]
 
 
@@ -467,12 +409,9 @@ TABLES = [
     ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
     ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),
     ("T_p,PGV\n", "must have 1 to 20000 rows, got 0."),
-    ("T_p,PGV\n" + "1,1\n" * 20_001, "must have 1 to 20000 rows, got 20001."),
     ("T_p,PGV,weight\n1,1,0\n1,1,0\n", "column weight: at least one weight must be positive, got 0 in every row."),
     ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be between 0 and 1e+75, got -2."),
     ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s (not cm/s), got 80."),
-    ("T_p,PGV\n0,1\n", "row 1 (line 2), column T_p: must be between 0.05 and 30 s, got 0."),
-    ("T_p,A_p\n1,1e300\n", "column A_p: must be between 0.0001 and 10 g, got 1e+300."),
 ]
 
 
@@ -486,7 +425,15 @@ def test_a_wrong_table_of_pulses_is_refused_with_file_row_column_rule_and_value(
     refused(activefail("hazard", path), f"{path}: ", str(tmp_path / "pulses.csv"), message)
 
 
-@pytest.mark.parametrize("name", ["none.csv", "../pulses.csv", "/etc/hostname", "link.csv", "folder", "."])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "none.csv",
+        "../pulses.csv",
+        "/etc/hostname",
+        "link.csv",
+    ],
+)
 def test_a_table_that_is_missing_or_outside_the_folder_is_refused(tmp_path: Path, name: str) -> None:
     home = tmp_path / "home"
     (home / "folder").mkdir(parents=True)
@@ -612,12 +559,8 @@ def test_rows_are_drawn_too(tmp_path: Path) -> None:
         ),
         (BEARING_FILE.replace("T_b = 4.0", "T_b = 0.5"), "A dish must be less than a hemisphere"),
         (BEARING_FILE.replace("0.06", "1e90"), "mu: must be a number between -1e+75 and 1e+75, got 1e+90."),
-        (BEARING_FILE.replace("0.06", "nan"), "mu: must be a number between -1e+75 and 1e+75, got nan."),
-        (BEARING_FILE.replace("0.06", "true"), "mu: must be a number between -1e+75 and 1e+75, got True."),
-        (BEARING_FILE.replace("0.06", "{ value = 1 }"), "mu: must be a number between"),
         (BEARING_FILE + "T_p = 2.0\n", "T_p: is uncertain under a hazard, so `fixed` cannot give it a value, got 2."),
         (BEARING_FILE + "friction = 0.1\n", "friction: is not a variable of the campaign"),
-        ("mu 0.1\n", "not valid TOML"),
     ],
 )
 def test_values_that_cannot_be_asked_for_end_in_one_message(

@@ -164,12 +164,6 @@ def test_a_command_on_a_relative_path_is_about_the_same_run_folder(
         assert known_code(path) is not None
 
 
-def test_a_second_campaign_is_noted_beside_the_first(run: Path, mine: Path, tmp_path: Path) -> None:
-    succeeded(activefail("run", mine / "mine.toml", "--out", tmp_path / "second", "--workers", "1"))
-    assert known_code(run) is not None
-    assert known_code(tmp_path / "second") is not None
-
-
 # --- changed code ----------------------------------------------------------------------------------------------------
 
 
@@ -185,16 +179,6 @@ def test_changed_code_must_be_named_again(run: Path, mine: Path, source: str) ->
     assert f"`{command}` continues it" in activefail("report", run).err
     succeeded(activefail(*shlex.split(command)[1:]))
     succeeded(resumed(run))
-
-
-def test_the_advice_to_fix_the_simulator_names_its_folder(mine: Path, tmp_path: Path) -> None:
-    (mine / "model.py").write_text(MODEL.replace('"safe"', "1 / 0").replace('"failure"', "1 / 0"))
-    (mine / "mine.toml").write_text(TOML.replace("size = 4", "size = 0"))
-    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--workers", "1")
-    command = f"activefail resume {tmp_path / 'run'} --code {mine} --budget 8"
-    assert f"Fix the simulator, then `{command}` continues" in result.err
-    (mine / "model.py").write_text(MODEL)
-    succeeded(activefail(*shlex.split(command)[1:]))
 
 
 def test_a_link_that_leads_to_other_code_since_counts_as_a_change(run: Path, mine: Path, tmp_path: Path) -> None:
@@ -298,18 +282,12 @@ def test_a_note_that_another_user_could_have_written_is_ignored(
 
 
 STRANGE = {
-    "empty": b"",
     "no text": b"\xff\x00",
     "no object": b"[1]",
-    "deep": b"[" * 50_000,
     "huge": b" " * 200_000,
-    "a number as a path": b'{"code": 3}',
-    "no sources": b'{"sources": null}',
     "sources of another form": b'{"sources": {"simulator.python": [1, 2]}}',
-    "three entries": b'{"sources": {"simulator.python": ["a", "b", "c"]}}',
     "a NUL": b'{"code": "/\\u0000"}',
     "a relative path": b'{"code": "mine"}',
-    "another folder": b'{"run": {}}',
 }
 
 
@@ -327,7 +305,7 @@ def test_a_note_that_says_something_else_is_ignored(run: Path, mine: Path, state
     assert known_code(run) is not None
 
 
-@pytest.mark.parametrize("kind", ["pipe", "folder", "link"])
+@pytest.mark.parametrize("kind", ["folder", "link"])
 def test_a_note_that_is_no_file_is_ignored(run: Path, mine: Path, tmp_path: Path, state: Path, kind: str) -> None:
     note = note_in(state)
     note.rename(tmp_path / "note")

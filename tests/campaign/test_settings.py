@@ -3,7 +3,6 @@
 import hashlib
 import math
 import tomllib
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import tomli_w
 from campaign.test_shipped import RECORDS
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.assembly import Campaign
@@ -39,6 +37,7 @@ def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path:
     campaign = Campaign.of(settings, path.parent)
     assert settings.simulator != "dfp" or campaign.space == TABLE_1
     assert settings.description
+    assert parse_settings(settings.text(), "frozen") == settings
     comment = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
     assert any("What it shows" in line for line in comment)
 
@@ -46,10 +45,6 @@ def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path:
 def test_a_file_without_an_end_is_refused() -> None:
     with pytest.raises(InputError, match="/dev/zero: cannot be read: it is larger than 10000000 bytes"):
         read_settings(Path("/dev/zero"))
-
-
-def test_there_are_campaigns_that_ship() -> None:
-    assert {"paper.toml", "quick.toml"} <= {path.name for path in SHIPPED}
 
 
 def test_the_paper_campaign_is_the_papers() -> None:
@@ -114,16 +109,10 @@ def test_the_order_of_the_variables_is_the_files() -> None:
 # Settings that break a rule, and what the message must contain: key path, rule and value.
 BROKEN = {
     "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
-    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key; did you mean 'batch'?"]),
-    "unknown key of what need not be": (
-        "stop = { error = 0.1, evry = 2 }",
-        ["stop.evry: unknown key; did you mean 'every'?"],
-    ),
     "unknown key of a simulator": (
         'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',
         ["simulator.retry: unknown key; did you mean 'retries'?"],
     ),
-    "unknown table": ("[aquisition]", ["aquisition: unknown key; did you mean 'acquisition'?"]),
     "unknown key of a variable": (
         "space.mu = {low = 0.1, high = 0.2, men = 0.15}",
         ["space.mu.men: unknown key; did you mean 'mean'?"],
@@ -164,7 +153,6 @@ BROKEN = {
         'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
         ["classifier.features.expressions: cannot be combined with `python`"],
     ),
-    "a fixed variable that is no number": ("space.mu = {value = inf}", ["space.mu.value: must be", "inf"]),
     "unknown table of a simulator": (
         'simulator = { tcl = "model.tcl" }',
         ["simulator: must be a name, a table with `python` or a table with `command`", "model.tcl"],
@@ -214,17 +202,7 @@ BROKEN = {
         'simulator = { command = "a {out}", time_limit = 0.0 }',
         ["simulator.time_limit: must be greater than 0", "0.0"],
     ),
-    "unknown table of features": (
-        "classifier.features = { sympy = 'a' }",
-        ["classifier.features: must be a name, a table with `python` or a table with `expressions`"],
-    ),
     "text for a number": ('seed = "one"', ["seed: must be", "integer", "'one'"]),
-    "number for a text": ("description = 3", ["description: must be", "string", "3"]),
-    "fraction for a whole number": ("sampling.batch = 2.5", ["sampling.batch: must be", "integer", "2.5"]),
-    "list for a number": ("space.mu = {low = [1], high = 2}", ["space.mu.low: must be", "number", "[1]"]),
-    "number for a table": ("sampling = 500", ["sampling: must be", "500"]),
-    "number for a variable": ("space.mu = 0.06", ["space.mu: must be", "0.06"]),
-    "text for a switch": ('bearing.loss_of_confinement = "maybe"', ["bearing.loss_of_confinement: must be", "'maybe'"]),
     "half a variable": ("space.mu = {low = 0.1}", ["space.mu: a uniform distribution requires `low` and `high`"]),
     "four outcomes": (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
@@ -235,39 +213,15 @@ BROKEN = {
         "stop = 0.05",
         ["stop: must be a table with `error` or a table with `probability`, got 0.05"],
     ),
-    "a mean without sd": (
-        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["requires `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
-    ),
-    "neither mean nor sd": (
-        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
-        ["requires `mean` and `sd`, or `mean` and `cov`; got none of them"],
-    ),
-    "a mean alone": (
-        "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
-        ["space.mu: a uniform distribution takes only `low` and `high`; got `mean = 0.15`"],
-    ),
-    "an sd alone": (
-        "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
-        ["space.mu: a log-uniform distribution takes only `low` and `high`; got `sd = 0.1`"],
-    ),
     "no variables with a custom simulator": (
         'simulator.python = "a:b"',
         ["space: required with a custom simulator"],
     ),
     "no variable": ("[space]", ["space: ", "at least 1"]),
-    "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
-    "seed too large": (f"seed = {2**63}", ["seed: must be less than 9223372036854775808", str(2**63)]),
-    "initial too small": ("sampling.initial = 1", ["sampling.initial: must be greater than or equal to 2", "1"]),
-    "no batch": ("sampling.batch = 0", ["sampling.batch: must be greater than or equal to 1", "0"]),
     "batch too large": ("sampling.batch = 501", ["sampling.batch: must be less than or equal to 500", "501"]),
     "budget below initial": (
         "sampling = {initial = 100, budget = 50}",
         ["sampling: `initial <= budget` must hold, got 100 and 50"],
-    ),
-    "low at high": (
-        "space.mu = {low = 0.2, high = 0.2}",
-        ["space.mu: `low < high` must hold, got 0.2 and 0.2"],
     ),
     "low above high": (
         "space.mu = {low = 0.2, high = 0.1}",
@@ -278,34 +232,11 @@ BROKEN = {
         ["space.mu: the range must lie between -1e+75 and 1e+75, got 1 to 1e+155"],
     ),
     "nan": ("space.mu = {low = nan, high = 1}", ["space.mu.low: must be a finite number", "nan"]),
-    "inf": ("space.mu = {low = 0, high = inf}", ["space.mu.high: must be a finite number", "inf"]),
-    "minus inf": ("bearing.slider_density = -inf", ["bearing.slider_density: must be", "-inf"]),
-    "nan limit": ("limits.numerical_failures = nan", ["limits.numerical_failures: must be a finite number", "nan"]),
-    "limit above 1": (
-        "limits.numerical_failures = 1.5",
-        ["limits.numerical_failures: must be less than or equal to 1", "1.5"],
-    ),
-    "restitution": ('bearing.restitution = "elastic"', ["bearing.restitution: must be 'pairwise' or 'assembly'"]),
-    "e of 0": (
-        "bearing.restitution_coefficient = 0.0",
-        ["bearing.restitution_coefficient: must be greater than 0", "0.0"],
-    ),
-    "loose tolerance": ("bearing.tolerance = 0.1", ["bearing.tolerance: must be less than or equal to 0.001", "0.1"]),
     "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
     "unknown features": (
         'classifier.features = "all"',
         ["classifier.features: must be 'paper', 'design', 'decorrelated', 'sliding' or 'collision'", "'all'"],
     ),
-    "number for features": ("classifier.features = 9", ["classifier.features: must be", "'sliding'", "9"]),
-    "features without a function": (
-        'classifier.features = { python = "mine" }',
-        ['classifier.features.python: must be "module:function"', "'mine'"],
-    ),
-    "unknown key of features": (
-        'classifier.features = { python = "mine:f", variable = false }',
-        ["classifier.features.variable: unknown key; did you mean 'variables'?"],
-    ),
-    "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
     "unknown criterion": (
         'acquisition.criterion = "luck"',
         ["acquisition.criterion: must be 'entropy', 'u', 'straddle', 'bald', 'eavc', 'globalmi' or 'sur'", "'luck'"],
@@ -316,40 +247,15 @@ BROKEN = {
         "acquisition.boundary = {failure = 1, impact = 0}",
         ["acquisition.boundary: the weight of 'impact' must be a positive finite number, got 0"],
     ),
-    "negative weight": ("acquisition.boundary = {failure = -0.5}", ["acquisition.boundary: the weight", "got -0.5"]),
-    "nan weight": ("acquisition.boundary = {failure = nan}", ["acquisition.boundary: the weight", "got nan"]),
-    "infinite weight": ("acquisition.boundary = {failure = inf}", ["acquisition.boundary: the weight", "got inf"]),
-    "weight that no computer's number holds": (
-        f"acquisition.boundary = {{failure = 1{'0' * 400}}}",
-        ["acquisition.boundary: the weight of 'failure' must be a positive finite number, got 1000", "..."],
-    ),
-    "weight of thousands of digits": (
-        f"acquisition.boundary = {{failure = 0x{'f' * 6000}}}",
-        ["acquisition.boundary: the weight of 'failure' must be", "got a number with thousands of digits"],
-    ),
     "seed of thousands of digits": (
         f"seed = 0x{'f' * 6000}",
         ["seed: must be less than 9223372036854775808, got a number with thousands of digits"],
-    ),
-    "bound that no computer's number holds": (
-        f"space.mu = {{low = 0, high = 1{'0' * 400}}}",
-        ["space.mu.high: must be"],
     ),
     "name that is none": (
         'space."T b" = {low = 1, high = 2}',
         ["space: a variable's name must be an identifier, got 'T b'"],
     ),
-    "text for a weight": ('acquisition.boundary = {failure = "1"}', ["acquisition.boundary: the weight", "got '1'"]),
     "truth for a weight": ("acquisition.boundary = {failure = true}", ["acquisition.boundary: the weight", "True"]),
-    "exploration above 1": (
-        "acquisition.exploration = 1.5",
-        ["acquisition.exploration: must be less than or equal to 1", "1.5"],
-    ),
-    "negative exploration": (
-        "acquisition.exploration = -0.1",
-        ["acquisition.exploration: must be greater than or equal to 0", "-0.1"],
-    ),
-    "negative validation": ("validation.size = -1", ["validation.size: must be greater than or equal to 0", "-1"]),
 }
 
 
@@ -362,18 +268,11 @@ def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, say
     assert len(message) < 400
 
 
-def test_a_whole_number_of_more_digits_than_are_read_is_refused_naming_the_file() -> None:
-    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer has thousands of digits."
-
-
 @pytest.mark.parametrize(
     ("text", "key"),
     [
         ('seed = "7"', "seed"),
-        ("seed = true", "seed"),
         ('space.mu = { low = "0.1", high = 0.2 }', "space.mu.low"),
-        ("space.mu = { low = false, high = true }", "space.mu.low"),
-        ('bearing.loss_of_confinement = "no"', "bearing.loss_of_confinement"),
         ("bearing.loss_of_confinement = 0", "bearing.loss_of_confinement"),
     ],
 )
@@ -396,36 +295,11 @@ def test_all_mistakes_are_named_at_once() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "line"), [("seed = ", 1), ("a = 1\nseed 1", 2), ("[sampling\nbatch = 1", 1), ("seed = 1\nseed = 2", 2)]
-)
-def test_malformed_toml_is_refused_naming_file_and_line(text: str, line: int) -> None:
-    message = _refusal(text)
-    assert message.startswith("mine.toml: not valid TOML: ")
-    assert f"line {line}" in message or "end of document" in message
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml: cannot be read: No such file or directory"):
-        read_settings(tmp_path / "none.toml")
-
-
-def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"{tmp_path}: cannot be read: Is a directory"):
-        read_settings(tmp_path)
-
-
 def test_a_file_that_is_not_utf8_is_refused_naming_file_and_place(tmp_path: Path) -> None:
     path = tmp_path / "latin.toml"
     path.write_bytes('description = "Lager für Brücken"'.encode("latin-1"))
     with pytest.raises(InputError, match=r"latin\.toml: not UTF-8 text: .* at byte 22"):
         read_settings(path)
-
-
-def test_a_file_with_umlauts_and_windows_line_ends_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "utf8.toml"
-    path.write_bytes('description = "Brücke"\r\nseed = 3\r\n'.encode())
-    assert (read_settings(path).description, read_settings(path).seed) == ("Brücke", 3)
 
 
 def test_weights_of_boundaries_are_shares_and_the_largest_is_the_main_one() -> None:
@@ -460,27 +334,7 @@ def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outc
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "SAFE",
-        "ok",
-        "Okay",
-        "passed",
-        "survive",
-        "no_failure",
-        "noImpact",
-        "not_failed",
-        "non_exceedance",
-        "intact",
-        "stable",
-        "undamaged",
-        "uncracked",
-        "none",
-        "fine",
-        "good",
-        "success",
-        "without_damage",
-        "_safe_",
-    ],
+    ["ok", "passed", "no_failure", "not_failed", "intact", "none", "without_damage", "_safe_"],
 )
 def test_a_word_for_safety_is_not_the_most_severe_outcome(name: str) -> None:
     text = f'simulator = {{ python = "a:b", outcomes = ["other", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
@@ -489,34 +343,11 @@ def test_a_word_for_safety_is_not_the_most_severe_outcome(name: str) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "unsafe",
-        "not_ok",
-        "not_safe",
-        "failure",
-        "failed_to_pass",
-        "collapse",
-        "no_go",
-        "unstable",
-        "broken",
-        "impact",
-        "not_intact",
-        "nonlinear",
-        "unacceptable",
-        "loss_of_stability",
-    ],
+    ["unsafe", "not_ok", "not_safe", "failed_to_pass", "unstable", "not_intact", "nonlinear", "loss_of_stability"],
 )
 def test_other_names_may_be_the_most_severe_outcome(name: str) -> None:
     text = f'simulator = {{ python = "a:b", outcomes = ["safe", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
     assert parse_settings(text, "mine.toml").acquisition.boundary == name
-
-
-def test_settings_are_frozen() -> None:
-    settings = parse_settings("", "empty")
-    with pytest.raises(ValidationError, match="frozen"):
-        settings.seed = 2
-    with pytest.raises(ValidationError, match="frozen"):
-        settings.sampling.budget = 2
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -598,9 +429,7 @@ def test_a_function_beside_the_campaigns_file_says_what_the_classifier_sees(tmp_
     [
         (None, r"there is no module 'mine'; looked for .*/mine\.py"),
         ("def other(X, space): pass", r".*/mine\.py has no function 'ratio'"),
-        ("ratio = 3", r".*/mine\.py has no function 'ratio'"),
         ("1 / 0", "mine cannot be imported: ZeroDivisionError: division by zero"),
-        ("import a_module_that_is_not_there", "mine cannot be imported: No module named 'a_module_that_is_not_there'"),
     ],
 )
 def test_a_function_that_cannot_be_loaded_is_refused_by_file_key_and_reason(
@@ -622,12 +451,6 @@ def test_a_changed_function_is_told_on_resume(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(OWN + "# changed")
     assert read_campaign(path, code=tmp_path).sources.keys() == before.keys()
     assert read_campaign(path, code=tmp_path).sources != before
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
-def test_the_frozen_copy_of_a_campaign_that_ships_is_the_campaign(path: Path) -> None:
-    settings = read_settings(path)
-    assert parse_settings(settings.text(), "frozen") == settings
 
 
 def test_the_frozen_copy_writes_the_defaults_out() -> None:
@@ -652,15 +475,6 @@ def _nested(key: str, value: Any) -> dict[str, Any]:
     return {head: {tail: value} if tail else value}
 
 
-@hypothesis.settings(deadline=None)
-@given(text=st.text(st.sampled_from('a=1.[]{}"\n#\0\t\u00fc'), max_size=40))
-def test_no_text_makes_the_parser_raise_anything_but_an_input_error_that_names_the_file(text: str) -> None:
-    with suppress(InputError):
-        parse_settings(text, "mine.toml")
-        return
-    assert _refusal(text).startswith(("mine.toml: not valid TOML: ", "mine.toml:\n  "))
-
-
 def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() -> None:
     settings = parse_settings("seed = 1\nsampling.batch = 7", "mine.toml")
     changed = settings.with_overrides(seed=5, budget=600)
@@ -670,24 +484,9 @@ def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() 
 
 
 @pytest.mark.parametrize(
-    ("overrides", "says"),
-    [
-        ({"seed": -1}, "seed: must be greater than or equal to 0, got -1"),
-        ({"budget": 100}, "sampling: `initial <= budget` must hold, got 250 and 100"),
-        ({"budget": 0}, "sampling.budget: must be greater than or equal to 2, got 0"),
-    ],
-)
-def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, int], says: str) -> None:
-    with pytest.raises(InputError) as refused:
-        parse_settings("", "mine.toml").with_overrides(**overrides)
-    assert str(refused.value) == f"command line:\n  {says}"
-
-
-@pytest.mark.parametrize(
     ("text", "says"),
     [
         ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
-        ('acquisition.boundary = "no_impact"', "acquisition.boundary: must be one of impact, failure, got 'no_impact'"),
         (
             "acquisition.boundary = {failure = 1, collapse = 1}",
             "acquisition.boundary: must be one of impact, failure, got 'collapse'",
