@@ -30,7 +30,7 @@ class Clock:
         return getattr(time, name)
 
 
-def until(holds: Callable[[], T], what: str) -> T:
+def until(holds: Callable[[], T], what: str = "an event") -> T:
     """Wait until something holds, and give what it gave."""
     give_up = time.monotonic() + PATIENCE
     while not (value := holds()):

@@ -10,9 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +18,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commandline import activefail, record, refused, sets, started, table, wait_for
-from patience import PATIENCE, Clock
+from patience import PATIENCE, Clock, until
 
 from activefail.campaign.on_disk import create_folder, read_campaign
 from activefail.campaign.sections import PythonSimulatorSettings
-from activefail.errors import InputError, place_of
+from activefail.errors import InputError
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
 from activefail.parameter import Parameter
@@ -90,14 +88,6 @@ def started_by(pid: int) -> list[str]:
     return actual
 
 
-def until(true: Callable[[], bool]) -> None:
-    """Wait for something to be true."""
-    give_up = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
-
-
 ANSWERS = """
 drift, T, text, out = sys.argv[1:]
 print(text, T)
@@ -132,21 +122,15 @@ def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
 
 
 UNUSABLE = {
-    "3": "must be the name of an outcome, or a dictionary with `outcome`, got 3",
     "None": "must be the name of an outcome, or a dictionary with `outcome`, got None",
     "{}": "outcome: must be one of safe, damage, failure, got None",
-    "{'outcome': __import__('unittest.mock').mock.ANY}": "outcome: must be one of safe, damage, failure, got <ANY>",
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
-    "['safe']": "must be the name of an outcome, or a dictionary with `outcome`",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
     "{'outcome': 'safe', 'margin': {}}": "may contain only outcome and margins, got 'margin'",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a dictionary of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
-    "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
     "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
-    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').timedelta64(5, 's')}}": "margins.gap: must be a number",
-    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').longdouble('1e4000')}}": "margins.gap: must fit",
     "{'outcome': 'safe', 'margins': {'gap': -(10**400)}}": "margins.gap: must fit",
 }
 
@@ -173,14 +157,8 @@ def test_the_place_of_an_error_that_a_library_raises_is_the_last_line_of_the_use
     assert f" ({tmp_path / 'helper.py'}:4)" in results.faults[0]
 
 
-def test_the_place_of_an_error_without_a_line_of_the_user_s_code_is_the_innermost_line() -> None:
-    with ThreadPoolExecutor(1) as pool:
-        error = pool.submit(json.loads, "{").exception()
-    assert place_of(error).startswith(f" ({json.decoder.__file__}:")
-
-
 MUTE = """
-class Mute({kind}):
+class Mute(ValueError):
     def __str__(self):
         {how}
 
@@ -190,32 +168,13 @@ def run(design):
 
 
 @pytest.mark.faults
-@pytest.mark.parametrize("kind", ["ValueError", "activefail.errors.InputError"])
-@pytest.mark.parametrize("how", ["raise KeyError(1)", "return 3", "raise SystemExit", "return str(self)"])
-def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_path: Path, kind: str, how: str) -> None:
-    simulator = python(tmp_path, source=f"import activefail.errors\n{MUTE.format(kind=kind, how=how)}")
+@pytest.mark.parametrize("how", ["raise KeyError(1)", "raise KeyboardInterrupt"])
+def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_path: Path, how: str) -> None:
+    simulator = python(tmp_path, source=MUTE.format(how=how))
     with ProcessExecutor(1) as executor:
         results = executor.run(simulator, X[:1])
     assert results.cause.tolist() == [RAISED]
     assert "Mute, whose message cannot be read (" in results.faults[0]
-    assert f"{tmp_path / 'model.py'}:8" in results.faults[0]
-
-
-@pytest.mark.faults
-def test_a_message_that_raises_a_keyboard_interrupt_costs_that_simulation_alone(tmp_path: Path) -> None:
-    simulator = python(tmp_path, source=MUTE.format(kind="ValueError", how="raise KeyboardInterrupt"))
-    with ProcessExecutor(1) as executor:
-        results = executor.run(simulator, X[:1])
-    assert results.cause.tolist() == [RAISED]
-    assert "Mute, whose message cannot be read (KeyboardInterrupt)" in results.faults[0]
-
-
-@pytest.mark.faults
-def test_a_module_that_raises_such_an_error_as_it_is_imported_is_refused(tmp_path: Path) -> None:
-    source = MUTE.format(kind="Exception", how="raise KeyError(1)")
-    simulator = python(tmp_path, source=f"{source}\nrun(None)\n")
-    with pytest.raises(InputError, match=r"model cannot be imported: Mute, whose message cannot be read \(KeyError\)"):
-        simulator.load()
 
 
 def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
@@ -301,18 +260,11 @@ def test_modules_beside_a_function_hide_none_of_a_library(tmp_path: Path, monkey
 
 
 def test_functions_of_two_folders_each_have_their_own_of_two_modules_of_one_name(tmp_path: Path) -> None:
-    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", damage=0.1, failure=2.0)
-    for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2, 2]), (one, [0, 1, 2])):
+    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", damage=0.1, failure=9.0, extra=1)
+    for simulator, outcome in ((one, [0, 1, 2]), (other, [2, 2, 2]), (one, [0, 1, 2])):
         simulator.prepare()
         assert answer(simulator, X).outcome.tolist() == outcome
     assert [folder for folder in sys.path if Path(folder).is_relative_to(tmp_path)] == [str(tmp_path / "one")]
-
-
-def test_an_import_as_a_function_runs_finds_its_own_folder_s_module_after_another_s(tmp_path: Path) -> None:
-    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", extra=True)
-    for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2]), (one, [0, 1, 2])):
-        simulator.prepare()
-        assert answer(simulator, X[: len(outcome)]).outcome.tolist() == outcome
 
 
 def test_modules_of_a_folder_that_the_program_itself_has_imported_stay_as_they_are(
@@ -359,24 +311,6 @@ def test_a_module_beside_that_is_changed_within_a_second_is_not_run_as_it_was(
         now = replace(simulator, source=simulator.load())
         assert answer(now, X).outcome.tolist() == expected
         assert list((tmp_path / "__pycache__").glob("limits.*"))
-
-
-def test_a_package_s_modules_are_part_of_the_source_of_a_function_that_it_names(tmp_path: Path) -> None:
-    (tmp_path / "model").mkdir()
-    (tmp_path / "model" / "__init__.py").write_text("from .physics import run\n")
-    simulator, sources = PythonSimulator(SPACE, "model:run", tmp_path, ("safe", "failure", "collapsed"), ()), set()
-    for outcome, name in enumerate(simulator.outcomes):
-        (tmp_path / "model" / "physics.py").write_text(f"def run(design):\n    return {name!r}\n")
-        now = replace(simulator, source=simulator.load())
-        assert answer(now, X).outcome.tolist() == [outcome] * 3
-        sources.add(now.source)
-    assert len(sources) == 3
-
-
-def test_the_digest_of_a_function_that_imports_nothing_of_its_folder_is_that_of_its_module(tmp_path: Path) -> None:
-    (tmp_path / "limits.py").write_text("DAMAGE = 1.0\n")
-    (tmp_path / "broken.py").write_text("what is this")
-    assert python(tmp_path).load() == hashlib.sha256(MODEL.encode()).hexdigest()
 
 
 PARALLEL = """
@@ -456,19 +390,6 @@ def test_a_campaign_says_how_many_simulations_one_process_may_run(
     assert ("renew" in (tmp_path / "run" / "campaign.toml").read_text()) == bool(renew)
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ('python = "model:run", renew = 0', "simulator.renew: must be greater than or equal to 1, got 0"),
-        ('python = "model:run", renew = 1.5', "simulator.renew: must be a valid integer, got 1.5"),
-        ('command = "m {out}", renew = 3', "simulator.renew: belongs to `python`"),
-    ],
-)
-def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Path, options: str, says: str) -> None:
-    (tmp_path / "mine.toml").write_text(f"simulator = {{ {options} }}\nspace.x = {{ low = 0.0, high = 1.0 }}\n")
-    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), "mine.toml", says)
-
-
 # --- a program ---------------------------------------------------------------------------------------------------
 
 
@@ -506,14 +427,8 @@ def test_the_folders_of_what_was_answered_go_where_they_are_not_kept(tmp_path: P
 FAILING = {
     "sys.stderr.write('no licence\\n'); sys.exit(3)": (RAISED, "exit code 3; .*stderr.txt ends: 'no licence'"),
     "os.kill(os.getpid(), 11)": (RAISED, r"exit code -11 \(SIGSEGV\); "),
-    "os.kill(os.getpid(), 40)": (RAISED, r"exit code -40 \(signal 40\); "),
     "pass": (UNUSABLE_ANSWER, "the program did not write .*answer.json"),
-    "open(sys.argv[-1], 'w').write('{')": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
-    "open(sys.argv[-1], 'w').write('[\"safe\"]')": (
-        UNUSABLE_ANSWER,
-        "must be the name of an outcome, or a dictionary with `outcome`",
-    ),
     "json.dump({'outcome': 'collapse'}, open(sys.argv[-1], 'w'))": (UNUSABLE_ANSWER, "must be one of safe, failure"),
 }
 
@@ -624,11 +539,8 @@ if float(sys.argv[1]) > 3:
     [
         ("model {drift}", "the command must contain {out}, the file for the program's answer"),
         ("model {drfit} {out}", "{drfit} is unknown; use one of {drift}, {T}, {storeys}, {out}, {here}"),
-        ("model {} {out}", "{} is unknown; use one of"),
         ("model {drift.real} {out}", "{drift.real} is unknown; use one of"),
         ("model {drift:q} {out}", "Unknown format code 'q'"),
-        ("model {drift:{nope}} {out}", "the format of {drift} must not contain braces"),
-        ("model {drift {out}", "expected '}' before end of string|is unknown"),
         ("model 'a {out}", "No closing quotation"),
     ],
 )
@@ -641,11 +553,6 @@ def test_a_variable_that_a_command_could_not_name_is_refused(tmp_path: Path) -> 
     space = DesignSpace((Parameter("out", 0.0, 1.0),))
     with pytest.raises(InputError, match=r"space.out: `\{out\}` is reserved in simulator.command"):
         CommandSimulator(space, "model {out}", tmp_path, tmp_path, ("safe", "failure"), ())
-
-
-def test_paths_in_a_command_may_have_a_format_as_the_check_of_it_says(tmp_path: Path) -> None:
-    simulator = program(tmp_path, "", command="model {here:s}/x {out!r:s}")
-    assert simulator.arguments({"drift": 1.0, "T": 2.0}, Path("a b")) == ["model", f"{tmp_path}/x", "'a b'"]
 
 
 # --- campaigns ---------------------------------------------------------------------------------------------------
@@ -851,16 +758,6 @@ def test_worker_processes_take_none_of_python_s_own_modules_from_the_current_fol
     assert "numerical_failure" not in {row["outcome"] for row in record(run)}
 
 
-@pytest.mark.exhaustive
-def test_nor_do_those_of_a_comparison_over_seeds(mine: Path, tmp_path: Path) -> None:
-    (tmp_path / "here").mkdir()
-    (mine / "model.py").write_text(MODEL.replace("def run(design):", UNCHANGED))
-    words = ("compare", mine / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    done = as_installed(tmp_path / "here", tmp_path / "ran", *words, "--static", "16", "--jobs", "1")
-    assert done.returncode == 0, done.stderr
-    assert not (tmp_path / "ran").exists()
-
-
 def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
@@ -969,13 +866,12 @@ def test_a_mistake_in_a_campaign_of_one_s_own_is_named_before_anything_is_made(
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("arguments", "shown"), [("T, drift", "(T, drift)"), ("", "()"), ("*, design", "(*, design)")])
 def test_a_function_that_does_not_take_one_design_is_refused_before_anything_is_made(
-    mine: Path, tmp_path: Path, arguments: str, shown: str
+    mine: Path, tmp_path: Path
 ) -> None:
-    (mine / "model.py").write_text(f"def run({arguments}):\n    return 'safe'\n")
+    (mine / "model.py").write_text("def run(T, drift):\n    return 'safe'\n")
     result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    refused(result, "mine.toml: simulator.python: model:run must take one argument", f"got the arguments {shown}.")
+    refused(result, "mine.toml: simulator.python: model:run must take one argument", "got the arguments (T, drift).")
     assert not (tmp_path / "run").exists()
 
 
@@ -1000,17 +896,20 @@ def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mi
 
 
 @pytest.mark.faults
-def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path, tmp_path: Path) -> None:
-    source = MODEL.replace(
-        "    severity", "    if design['drift'] > 3.8:\n        raise ValueError('diverged')\n    severity"
-    )
+@pytest.mark.parametrize("error", ["ValueError('diverged')", "__import__('activefail').InputError('diverged')"])
+def test_what_a_simulation_raised_costs_it_alone_and_is_told_of_a_campaign_that_went_on(
+    mine: Path, tmp_path: Path, error: str
+) -> None:
+    source = MODEL.replace("    severity", f"    if design['drift'] > 3.8:\n        raise {error}\n    severity")
     (mine / "model.py").write_text(source)
     (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
     result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
     assert result.code == 0
-    assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
+    rows = record(tmp_path / "run")
+    assert all(row["cause"] == ("raised" if float(row["drift"]) > 3.8 else "") for row in rows)
+    assert "raised" in {row["cause"] for row in rows}
     assert "warning: simulations were abandoned; the first failed with: design" in result.err
-    assert "ValueError: diverged" in result.err
+    assert "Error: diverged" in result.err
 
 
 @pytest.mark.faults
@@ -1171,24 +1070,6 @@ def test_a_module_that_changes_the_current_folder_does_not_move_the_run_folder(
 
 
 @pytest.mark.faults
-def test_an_error_of_activefail_s_own_in_a_custom_simulator_costs_that_simulation_alone(
-    mine: Path, tmp_path: Path
-) -> None:
-    wrong = "T_b=4, mu=-1.0, D_tot=0.6, h_sl_ratio=0.6, h_rim_ratio=0.1, p=45, k=2e9"
-    raises = (
-        f"    if design['drift'] > 3.8:\n        import activefail\n        activefail.Bearing.from_table({wrong})\n"
-    )
-    (mine / "model.py").write_text(MODEL.replace("    severity", f"{raises}    severity"))
-    (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
-    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    assert result.code == 0
-    rows = record(tmp_path / "run")
-    assert {row["cause"] for row in rows if float(row["drift"]) > 3.8} == {"raised"}
-    assert all(row["cause"] == "" for row in rows if float(row["drift"]) <= 3.8)
-    assert "InputError: `mu > 0` must hold, got -1.0." in result.err
-
-
-@pytest.mark.faults
 def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_failed(
     mine: Path, tmp_path: Path
 ) -> None:
@@ -1205,37 +1086,38 @@ def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_f
     assert cut == whole
 
 
-@pytest.mark.parametrize(("value", "outcome"), [(0.5, 0), (0, 1), (-0.0, 1), (np.float64(-2.0), 1)])
-def test_a_limit_state_returns_its_margin_alone(value: float, outcome: int) -> None:
-    results = read_answer(value, ("safe", "failure"), ("g",), (0.0,), 0.0)
+@pytest.mark.parametrize(
+    ("value", "outcomes", "levels", "outcome"),
+    [
+        (0.5, ("safe", "failure"), (0.0,), 0),
+        (-0.0, ("safe", "failure"), (0.0,), 1),
+        (np.float64(-2.0), ("safe", "failure"), (0.0,), 1),
+        (0.5, ("safe", "damage", "collapse"), (0.2, -1.0), 0),
+        (0.2, ("safe", "damage", "collapse"), (0.2, -1.0), 1),
+        (-1.0, ("safe", "damage", "collapse"), (0.2, -1.0), 2),
+    ],
+)
+def test_a_limit_state_returns_its_margin_alone_which_its_levels_give_an_outcome(
+    value: float, outcomes: tuple[str, ...], levels: tuple[float, ...], outcome: int
+) -> None:
+    results = read_answer(value, outcomes, ("g",), levels, 0.0)
     assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[float(value)]])
 
 
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
-    with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must be a number"):
+    with pytest.raises(UnusableAnswerError, match="the margin g is NaN"):
         read_answer(float("nan"), ("safe", "failure"), ("g",), (0.0,), 0.0)
-    with pytest.raises(UnusableAnswerError, match="must be the name of an outcome, or a dictionary with `outcome`"):
-        read_answer(0.5, ("safe", "failure"), (), (), 0.0)
-    with pytest.raises(
-        UnusableAnswerError, match="must be the name of an outcome, or a dictionary with `outcome`, got True"
-    ):
-        read_answer(True, ("safe", "failure"), ("g",), (0.0,), 0.0)
-
-
-@pytest.mark.parametrize(("value", "outcome"), [(0.5, 0), (0.2, 1), (0.1, 1), (-1.0, 2), (-2.0, 2)])
-def test_a_margin_with_levels_gives_each_of_three_outcomes(value: float, outcome: int) -> None:
-    results = read_answer(value, ("safe", "damage", "collapse"), ("g",), (0.2, -1.0), 0.0)
-    assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[value]])
+    for value, margins, levels in ((0.5, (), ()), (True, ("g",), (0.0,))):
+        with pytest.raises(UnusableAnswerError, match="must be the name of an outcome, or a dictionary"):
+            read_answer(value, ("safe", "failure"), margins, levels, 0.0)
 
 
 @pytest.mark.parametrize(
     ("outcomes", "margins", "levels", "expected"),
     [
         (["safe", "failure"], ["g"], {}, (0.0,)),
-        (["safe", "failure"], ["g"], {"g": [0.3]}, (0.3,)),
         (["safe", "damage", "collapse"], ["g"], {}, ()),
         (["safe", "damage", "collapse"], ["g"], {"g": [0.3, 0.1]}, (0.3, 0.1)),
-        (["safe", "failure"], [], {}, ()),
         (["safe", "failure"], ["g", "h"], {"g": [0.3]}, ()),
     ],
 )

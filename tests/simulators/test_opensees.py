@@ -149,11 +149,7 @@ def test_a_pulse_as_a_record_moves_the_mass_as_the_pulse(opensees: str, tmp_path
     ("text", "says"),
     [
         ("0,1\n", "must have two numbers in each of at least two lines, got shape (1, 2)"),
-        ("0\n1\n", "must have two numbers in each of at least two lines, got shape (2, 1)"),
-        ("0,nan\n1,1\n", "must have two numbers"),
         ("0,1\n1,1\n3,1\n", "times must rise by equal intervals"),
-        ("0,one\n", "could not convert string"),
-        (None, "not found"),
     ],
 )
 def test_a_record_that_is_none_is_refused(opensees: str, tmp_path: Path, text: str | None, says: str) -> None:
@@ -176,9 +172,7 @@ def test_pulse_and_record_exclude_each_other(opensees: str, tmp_path: Path) -> N
     ("changed", "code", "says"),
     [
         ({"t_b": 1.0}, 1, "a dish must be less than a hemisphere"),
-        ({"h_sl_ratio": 30.0}, 1, "the slider's height must be less than the distance between the dishes' centres"),
         ({"mu": -0.1}, 2, "must be positive and finite, got -0.1"),
-        ({"a_p": math.nan}, 2, "must be positive and finite, got nan"),
     ],
 )
 def test_a_design_that_cannot_be_built_is_refused(
