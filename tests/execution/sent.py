@@ -58,24 +58,6 @@ class Ambush(Disc):
         return super().run(X)
 
 
-class Grave(str):
-    """Text that ends the worker that reads it, the first time."""
-
-    __slots__ = ("folder",)
-
-    def __new__(cls, folder: str) -> "Grave":
-        made = super().__new__(cls)
-        made.folder = folder
-        return made
-
-    def __reduce__(self) -> tuple[object, ...]:
-        try:
-            (Path(self.folder) / "dug").touch(exist_ok=False)
-        except FileExistsError:
-            return str, ("",)
-        os._exit(1)
-
-
 class Unknown(Disc):
     """A disc that no worker can load, as if the worker had another version of activefail."""
 
@@ -90,27 +72,6 @@ class Deadly(Disc):
 
     def run(self, X: Array) -> Results:
         os._exit(1)
-
-
-@dataclass(frozen=True)
-class DeadlyAtFirst(Disc):
-    """A compiled disc that ends its worker so many times, as an allocation does that ends.
-
-    Attributes:
-        folder: where the deaths are counted.
-        deaths: how many there are.
-    """
-
-    folder: str = ""
-    deaths: int = 4
-
-    releases_gil = True
-
-    def run(self, X: Array) -> Results:
-        if len(list(Path(self.folder).iterdir())) < self.deaths:
-            (Path(self.folder) / str(os.getpid())).touch()
-            os._exit(1)
-        return super().run(X)
 
 
 def versions() -> dict[str, str]:

@@ -2,26 +2,24 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread, Timer
+from threading import Timer
 
 import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 from cases import some
 from commandline import activefail, record, refused, started, wait_for
-from execution.sent import Ambush, Deadly, DeadlyAtFirst, Fatal, Grave, Noted, Unknown, versions
-from patience import PATIENCE
+from execution.sent import Ambush, Deadly, Fatal, Noted, Unknown, versions
+from patience import PATIENCE, until
 
 from activefail.campaign.provenance import simulation_versions
-from activefail.errors import InputError, SimulationError
+from activefail.errors import SimulationError
 from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.progress import Observer, Progress
@@ -33,7 +31,7 @@ from activefail.risk.ida import kept
 from activefail.risk.ida.capacity import Answers
 from activefail.risk.ida.simulations import CampaignSubject
 from activefail.simulators.function import PythonSimulator
-from activefail.simulators.interface import WORKER_DIED, Results
+from activefail.simulators.interface import WORKER_DIED
 from activefail.space import DesignSpace
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
@@ -89,14 +87,6 @@ class Cluster:
         for process in (*self.workers.values(), self.scheduler):
             process.kill()
             process.wait()
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait for something to be true."""
-    give_up = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < give_up
-        time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
@@ -240,47 +230,6 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
     until(lambda: not any(map(is_running, processes)))
 
 
-@pytest.mark.faults
-@pytest.mark.exhaustive
-def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds_up_nobody(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cluster.workers["two"].kill()
-    cluster.workers["two"].wait()
-    folder = str(tmp_path)
-    monkeypatch.setattr(
-        "activefail.execution.dask.answer_on_worker",
-        lambda simulator, X, *_: replace(simulator.run(X), faults={0: Grave(folder)}),
-    )
-    x = np.array([0.0, 20.0])
-    answers: list[tuple[int, Results]] = []
-    with DaskExecutor(cluster.address) as executor:
-        executor.start(Disc(), 7, x)
-
-        def ask_while_it_is_lost() -> None:
-            # Once more after its end was seen: the scheduler says then that the answer is lost.
-            while cluster.workers["one"].poll() is None:
-                answers.extend(executor.answered(0.1))
-            answers.extend(executor.answered(2.0))
-
-        # In a thread of its own: a wait that is never over fails this test instead of holding it up.
-        asking = Thread(target=ask_while_it_is_lost, daemon=True)
-        asking.start()
-        asking.join(PATIENCE)
-        assert not asking.is_alive()
-        assert (tmp_path / "dug").exists()
-        assert answers == []
-        cluster.add("three")
-
-        def come() -> bool:
-            answers.extend(executor.answered(0.1))
-            return len(answers) > 0
-
-        until(come)
-    ((ticket, results),) = answers
-    assert (ticket, results.outcome.tolist(), results.faults) == (7, Disc().run(x[None]).outcome.tolist(), {0: ""})
-
-
 def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(shared: Cluster) -> None:
     with (
         DaskExecutor(shared.address) as executor,
@@ -302,18 +251,6 @@ def test_a_design_that_costs_worker_after_worker_is_given_up(
         results = executor.run(Deadly(), np.array([[2.5, 20.0]]))
     assert "its workers were lost" in results.faults[0]
     assert results.cause.tolist() == [WORKER_DIED]
-
-
-@pytest.mark.faults
-@pytest.mark.exhaustive
-def test_workers_that_an_allocation_ended_are_not_the_designs_fault(cluster: Cluster, tmp_path: Path) -> None:
-    X = np.array([[2.5, 20.0]])
-    with DaskExecutor(cluster.address) as executor:
-        for name in ("three", "four", "five"):
-            cluster.add(name)
-        # Dask gives up after four; the fifth worker answers.
-        results = executor.run(DeadlyAtFirst(folder=str(tmp_path)), X)
-    assert results.outcome.tolist() == Disc().run(X).outcome.tolist()
 
 
 TOML = """
@@ -440,20 +377,6 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     assert not (tmp_path / "run").exists()
 
 
-def test_what_answers_and_is_no_scheduler_is_told() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-
-        def answer() -> None:
-            connection, _ = server.accept()
-            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 20)
-            connection.close()
-
-        Thread(target=answer, daemon=True).start()
-        with pytest.raises(InputError, match=f"no Dask scheduler answers at 'tcp://127.0.0.1:{port}'"):
-            DaskExecutor(f"tcp://127.0.0.1:{port}")
-
-
 def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of_this_machine(
     shared: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -497,16 +420,11 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
     assert sum(len(path.read_text()) for path in tmp_path.glob("simulated-*")) == 3 * 15 - 20
 
 
-def test_a_worker_of_another_version_answers_nothing(shared: Cluster) -> None:
+def test_workers_of_other_versions_than_this_machine_s_answer_nothing(shared: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
     with DaskExecutor(shared.address, versions=versions) as executor:
         with pytest.raises(SimulationError, match="differs from this machine: leader there there, here here") as raised:
             executor.run(Disc(), X)
         assert "none was recorded" in str(raised.value)
-
-
-def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(shared: Cluster) -> None:
-    X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
-    assert set(simulation_versions()) == {"activefail", "python", "numpy", "numba", "bearing_sources", "numba_options"}
     with DaskExecutor(shared.address, versions=simulation_versions) as executor:
         assert executor.run(Disc(), X).outcome.tolist() == Disc().run(X).outcome.tolist()
