@@ -271,21 +271,6 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
     survived()
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1", "cp1252", "utf-8-sig"])
-def test_settings_in_another_encoding_are_refused_by_the_byte(encoding: str, taken: Path) -> None:
-    file = taken.with_name("mine.toml")
-    file.write_bytes('description = "Brücke"\n'.encode(encoding))
-    result = activefail("run", file, "--out", taken)
-    refused(result, "already holds a campaign" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
-
-
-def test_settings_without_an_end_are_refused_and_do_not_fill_the_memory(taken: Path) -> None:
-    file = taken.with_name("mine.toml")
-    for content in ("[" * 100_000, "a = " + "[" * 100_000, "a = " + "{b = " * 50_000, 'a = "' + "x" * 10**7):
-        file.write_text(content)
-        refused(activefail("run", file, "--out", taken), str(file))
-
-
 # --- tables ------------------------------------------------------------------------------------------------------
 
 no_numbers = st.one_of(
@@ -363,31 +348,6 @@ def test_a_file_of_any_bytes_is_no_table_and_is_refused_by_its_name(
     refused(activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv"), f"{place / 'in.csv'}")
     assert os.listdir(place) == ["in.csv"]
     survived()
-
-
-@pytest.mark.parametrize(
-    ("content", "parts"),
-    [
-        (f"{HEADER},mu\n".encode(), ["column 'mu': must occur only once, occurs 2 times"]),
-        (f"{HEADER},outcome\n".encode(), ["column 'outcome': would be overwritten by the output; rename or remove it"]),
-        (HEADER.replace("mu", "Mu").encode(), ["column 'mu': required, but missing"]),
-        (HEADER.replace(",", ";").encode(), ["columns must be separated by commas, not by ';'"]),
-        (HEADER.encode("utf-16"), ["must be UTF-8 text"]),
-        (f"{HEADER}\n".encode() + ",".join(ROW).replace("0.06", "0.0\xe9").encode("latin-1"), ["must be UTF-8 text"]),
-        (b"", ["is empty"]),
-        (f'{HEADER}\n"'.encode() + b"x" * 200_000, ["not valid CSV at line", "field larger than field limit"]),
-    ],
-)
-def test_a_table_whose_form_is_wrong_is_refused_by_what_is_wrong(
-    content: bytes, parts: list[str], tmp_path: Path
-) -> None:
-    (tmp_path / "in.csv").write_bytes(content)
-    refused(
-        activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv"),
-        f"{tmp_path}/in.csv",
-        *parts,
-    )
-    assert os.listdir(tmp_path) == ["in.csv"]
 
 
 def test_a_bad_cell_at_the_end_of_a_million_rows_is_refused_in_little_memory(tmp_path: Path, every_fault: bool) -> None:

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -73,21 +72,6 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     assert record(tmp_path / "run") == record(tmp_path / "straight")
 
 
-@pytest.mark.parametrize("limit", [150, 2500, 3000, 3500, 9000])
-def test_a_limit_on_the_size_of_files_ends_the_campaign_with_the_reason_and_loses_nothing(
-    limit: int, victims: Victims, uninterrupted: Course, tmp_path: Path
-) -> None:
-    victim = victims.start(tmp_path / "run", "", fault=f"small files {limit}")
-    victim.go_on()
-    code = victim.end()
-    assert code == (limit < 9000)
-    if code:
-        # The victim's log is a file too, and may be cut.
-        assert victim.reports[-1].startswith("error Cannot write ")
-        assert "File too large" in victim.reports[-1] or limit == 150
-    assert_nothing_lost(victim, tmp_path / "run", uninterrupted)
-
-
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {
         str(path): (path.lstat().st_mtime_ns, path.read_bytes() if path.is_file() else b"")
@@ -122,20 +106,6 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated
     assert "22 of 22 simulations" in activefail("status", disk / "run").out
     assert activefail("export", disk / "run", "--csv", tmp_path / "all.csv").code == 0
     assert tree(disk) == before
-
-
-def test_a_clock_that_jumps_and_files_from_other_times_change_nothing(
-    victims: Victims, uninterrupted: Course, tmp_path: Path, survived: Survived
-) -> None:
-    folder = tmp_path / "run"
-    for commits, seconds in enumerate([-1.0, 4e9, 0.0, 2**33], start=1):
-        victim = victims.start(folder, "", commits=commits, fault="jumping clock")
-        victim.go_on()
-        assert victim.end() == 0, victim.reports
-        for path in (folder, *folder.rglob("*")):
-            os.utime(path, (seconds, seconds))
-        survived()
-    assert finished(folder) == uninterrupted
 
 
 MEETINGS = {
@@ -180,30 +150,6 @@ def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_write
             assert codes == (1, 0), (place, before, first.reports, second.reports)
             assert "error " in first.reports[-1]
         check_writers([first, second], folder, uninterrupted, fault)
-        survived()
-
-
-@pytest.mark.parametrize("fault", MEETINGS)
-def test_two_processes_that_run_side_by_side_on_a_campaign_lose_none_of_it(
-    victims: Victims,
-    uninterrupted: Course,
-    tmp_path: Path,
-    fault: str | None,
-    every_fault: bool,
-    survived: Survived,
-) -> None:
-    # Wherever they meet, or if one is done before the other begins.
-    for number, commits in enumerate(few(list(range(COMMITS)) * 4, every_fault, 3)):
-        folder = tmp_path / str(number)
-        if commits:
-            begun(folder, commits)
-        both = [victims.start(folder, "", fault=fault) for _ in range(2)]
-        for victim in both:
-            victim.go_on()
-        codes = [victim.end() for victim in both]
-        assert set(codes) <= {0, 1}, [victim.reports for victim in both]
-        assert 0 in codes or fault is not None
-        check_writers(both, folder, uninterrupted, fault)
         survived()
 
 
@@ -263,33 +209,3 @@ def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name
 
 def without_flock(*arguments: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
-
-
-@pytest.mark.parametrize("change", ["commit", "state", "set", "result"])
-@pytest.mark.parametrize("call", ["os.open", "os.fsync", "os.write", "os.replace"])
-def test_a_folder_that_is_replaced_during_a_write_gets_nothing_of_another_campaign(
-    call: str, change: str, uninterrupted: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived
-) -> None:
-    folder, elsewhere, other = tmp_path / "run", tmp_path / "elsewhere", begun(tmp_path / "other", 1)
-    before = {str(Path(name).relative_to(other)): kept[1] for name, kept in tree(other).items()}
-    function = eval(call)
-
-    def replaced(*arguments: Any, **options: Any) -> Any:
-        monkeypatch.undo()
-        folder.rename(elsewhere)
-        other.rename(folder)
-        return function(*arguments, **options)
-
-    with opened(begun(folder, 2)) as store:
-        changed = changes(store)
-        monkeypatch.setattr(call, replaced)
-        try:
-            changed[change]()
-        except StoreError as error:
-            assert "moved" in str(error) or "No such file" in str(error)  # noqa: PT017
-        monkeypatch.undo()
-    if elsewhere.exists():
-        # An event is in the journal that this process opened, wherever it is now.
-        assert {str(Path(name).relative_to(folder)): kept[1] for name, kept in tree(folder).items()} == before
-        assert finished(folder) == uninterrupted
-    survived()

@@ -7,9 +7,6 @@ may be on the disk and any may not; folders have names too, and without that of 
 
 import itertools
 import os
-import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -345,22 +342,3 @@ def test_the_model_finds_what_a_program_without_fsync_would_lose(
         except Exception:
             stored += 1
     assert stored > 0
-
-
-def test_every_folder_that_is_made_is_durable_in_the_one_above_it_before_anything_is_recorded(
-    tmp_path: Path, strace: str
-) -> None:
-    program = (
-        "from activefail.record.batch import Schema\nfrom activefail.record.run_folder import FolderStore\n"
-        f"FolderStore.create('new/deep/run', 'seed = 1', Schema({SCHEMA.variables}, {SCHEMA.outcomes}, ('',), ()))\n"
-    )
-    trace = tmp_path / "trace"
-    options = ["-f", "-y", "-e", "trace=mkdir,mkdirat,fsync,rename,renameat", "-o", str(trace)]
-    subprocess.run([strace, *options, sys.executable, "-c", program], cwd=tmp_path, check=True)
-    calls = [line for line in trace.read_text().splitlines() if "/new" in line or f"<{tmp_path}>" in line]
-    named = next(number for number, line in enumerate(calls) if re.search(r"\brename(at)?\(", line))
-    for folder in ("new", "new/deep", "new/deep/run"):
-        path = tmp_path / folder
-        made = next(number for number, line in enumerate(calls) if re.search(rf'mkdir(at)?\(.*"{path}"', line))
-        synced = [number for number, line in enumerate(calls) if re.search(rf"fsync\(\d+<{path.parent}>\)", line)]
-        assert any(made < number < named for number in synced), folder

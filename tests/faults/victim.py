@@ -9,12 +9,9 @@ begins and ends.
 
 import errno
 import fcntl
-import itertools
 import json
 import os
-import resource
 import sys
-import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -136,13 +133,8 @@ def opened(folder: Path) -> Logging:
 def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int:
     """Take the campaign in a folder on, to its budget or a number of commits; the exit code as the command line's."""
     Logging.log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    match (fault or "").split():
-        case ["small", "files", limit]:
-            small_files(int(limit))
-        case ["jumping", "clock"]:
-            jumping_clock()
-        case ["without", "locks"]:
-            without_locks()
+    if fault == "without locks":
+        without_locks()
     try:
         with opened(folder) as record:
             if fault == "elsewhere":
@@ -208,17 +200,6 @@ def elsewhere(record: Logging) -> None:
             if not len(proposed):
                 return
             record.tell(f"asked {' '.join(map(str, proposed.id.tolist()))}")
-
-
-def small_files(limit: int) -> None:
-    """As after `ulimit -f`: no file may be longer."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-
-def jumping_clock() -> None:
-    """A clock that is set years forth and back, and a time zone that changes."""
-    real, jumps = time.time, itertools.cycle([0.0, 1e9, -1e9, 3600.0])
-    time.time = lambda: real() + next(jumps)
 
 
 def without_locks() -> None:
