@@ -240,12 +240,6 @@ def test_every_number_without_an_interval_gives_the_reason(uncertain: FragilityF
     assert check(json.loads(json.dumps(uncertain.as_json(), allow_nan=False))) == 2 * 10
 
 
-def test_a_property_bound_of_a_variable_that_the_campaign_lacks_is_refused(ended: Path, tmp_path: Path) -> None:
-    (tmp_path / "bounds.toml").write_text(HAZARD + "[properties]\nmu_lower = 0.8\nmu_upper = 1.2\n")
-    result = activefail("fragility", ended / "run", "--code", ended, "--hazard", tmp_path / "bounds.toml", "--json")
-    refused(result, "properties.mu_lower: cannot be applied")
-
-
 @pytest.mark.usefixtures("without_pictures")
 def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_path: Path) -> None:
     command = ("fragility", ended / "run", "--code", ended, "--hazard", ended / "uncertain.toml", "--verify", "60")
@@ -338,23 +332,15 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
     [
         ([], "hazard, against: exactly one is required"),
         (["--hazard", "site.toml", "--against", "r"], "against: cannot be combined with hazard."),
-        (["--hazard", "site.toml", "--question", "site.toml"], "question: cannot be combined with hazard."),
-        (["--against", "r", "--intensity", "a_p"], "intensity: requires hazard"),
         (["--against", "q"], "against: must be one of the uncertain variables (T_p, A_p, r), got 'q'."),
         (
             ["--against", "r", "--range", "2,1"],
             "bounds (--range): must be two finite numbers with `low < high`, got 2,1.",
         ),
-        (["--against", "r", "--range", "2"], "--range: must be two numbers separated by a comma, got '2'."),
         (["--against", "r", "--fixed", "fixed.toml"], "against: r has the value 1.1; leave it out of --fixed."),
-        (["--hazard", "site.toml", "--verify", "5"], "verify: must be at least 20, got 5."),
-        (["--hazard", "fixed.toml"], "fixed.toml:\n  r: unknown key"),
-        (["--hazard", "site.toml", "--bearing", "period.toml"], "T_p: is uncertain under a hazard"),
         (["--against", "r", "--fixed", "pulse.toml"], "against: no variable besides r is uncertain"),
-        (["--hazard", "site.toml", "--csv", "-", "--json"], "--json: cannot be combined with `--csv -`"),
         (["--hazard", "site.toml", "--out", "run/simulations"], "is one of the run folder's own files"),
         (["--hazard", "site.toml", "--out", "site.toml"], "--out: site.toml must be a folder, but is a file."),
-        (["--hazard", "site.toml", "--csv", "run"], "--csv: run must be a file, but is a folder."),
     ],
 )
 def test_a_wrong_request_is_refused(
@@ -390,8 +376,6 @@ def test_a_design_under_pulses_of_a_file_needs_no_value_of_the_variable_that_is_
     ("options", "message"),
     [
         ({"hazard": "site.toml", "intensity": ["pgv"]}, "intensity: must be pgv or a_p, got ['pgv']"),
-        ({"against": "r", "bounds": ("a", "b")}, "bounds (--range): must be two numbers, got ('a', 'b')"),
-        ({"against": ["r"]}, "against: must be one of the uncertain variables (T_p, A_p, r), got ['r']"),
         ({"hazard": 3}, "hazard: must be a path, got int"),
     ],
 )
@@ -401,19 +385,6 @@ def test_a_wrong_argument_of_the_method_is_refused_by_name(
     monkeypatch.chdir(ended)
     with open_run("run", code=".") as opened, pytest.raises(InputError, match=f"^{re.escape(message)}"):
         opened.fragility(**options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"hazard": 3}, "hazard: must be a path, got int"),
-        ({"free": 3}, "free: must be names of variables, got 3"),
-        ({"free": "q"}, "free: 'q' is not a variable"),
-    ],
-)
-def test_a_wrong_argument_of_a_design_is_refused_by_name(ended: Path, options: dict[str, Any], message: str) -> None:
-    with open_run(ended / "run", code=ended) as opened, pytest.raises(InputError, match=f"^{re.escape(message)}"):
-        opened.design(0.1, **options)
 
 
 @pytest.mark.parametrize("command", [("fragility",), ("design", "--target", "0.1", "--free", "r"), ("sensitivity",)])
@@ -431,20 +402,6 @@ def test_a_hazard_that_cannot_be_asked_for_is_refused_with_its_file(
     if name == "fragility":
         result = activefail(name, ended / "run", "--code", ended, "--hazard", path)
         refused(result, f"{path}: r: requires a value, because the hazard is a table of pulses")
-
-
-def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Path, ended: Path) -> None:
-    (tmp_path / "plain.py").write_text("def g(d):\n    return d['x'] - d['y']\n")
-    (tmp_path / "plain.toml").write_text(
-        'simulator = { python = "plain:g", margins = ["g"] }\nsampling = { initial = 12, budget = 12 }\n'
-        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
-    )
-    assert activefail("run", tmp_path / "plain.toml", "--out", tmp_path / "run").code == 0
-    with (
-        open_run(tmp_path / "run", code=tmp_path) as opened,
-        pytest.raises(InputError, match="requires the variable 'T_p'"),
-    ):
-        opened.fragility(read_hazard(ended / "site.toml"))
 
 
 @pytest.mark.usefixtures("without_pictures")

@@ -78,17 +78,16 @@ def test_scaling_a_record_scales_its_intensity(kind: str) -> None:
     assert intensity.of_record(motion.scaled(3.0)) == pytest.approx(factor * intensity.of_record(motion))
 
 
-@pytest.mark.parametrize("text", ["pgd", "sa", "sa:-1", "sa:x", "pgv:2", "sa:inf", "sa:101"])
+@pytest.mark.parametrize("text", ["sa", "sa:x", "sa:101"])
 def test_an_intensity_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--scale-to: "):
         Intensity.of(text)
 
 
 def test_a_record_without_motion_has_no_intensity() -> None:
-    with pytest.raises(InputError, match="still: does not move the ground, so it cannot be scaled"):
-        Intensity.of("pgv").of_record(Accelerogram(np.zeros(5), 0.01, "still"))
-    with pytest.raises(InputError, match="still: does not move the ground, so it cannot be scaled"):
-        Intensity.of("factor").of_record(Accelerogram(np.zeros(5), 0.01, "still"))
+    for kind in ("pgv", "factor"):
+        with pytest.raises(InputError, match="still: does not move the ground, so it cannot be scaled"):
+            Intensity.of(kind).of_record(Accelerogram(np.zeros(5), 0.01, "still"))
 
 
 # --- capacities --------------------------------------------------------------------------------------------------
@@ -481,52 +480,31 @@ def test_predictions_stand_beside_the_outcomes_under_records(case: Path, campaig
     assert "the reduced model predicts " in shown
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"space": {"x": {"low": 0, "high": 1}}, "simulator": {"elsewhere": True}}, "must be a campaign under pulses"),
-        ({"space": {"k": {"value": 3e9}}}, "fixes k to 3e+09, but the bearing has 2e+09"),
-    ],
-)
-def test_a_campaign_that_does_not_fit_is_refused(
-    case: Path, tmp_path: Path, settings: dict[str, Any], message: str
-) -> None:
-    if "simulator" not in settings:
-        space = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
-        settings = {"space": space | settings["space"], "sampling": {"initial": 40, "budget": 40}}
-    with create_run(tmp_path / "run", settings) as run:
-        if "simulator" in settings:
-            run.add({"x": [0.1, 0.9], "outcome": ["safe", "failure"]})
-        else:
-            run.take()
-    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses")
-    refused(activefail(*words, "--campaign", tmp_path / "run"), "--campaign: ", message)
-
-
-def test_a_campaign_without_pulses_to_compare_is_refused(case: Path, campaign: Path) -> None:
-    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign", campaign)
-    refused(activefail(*words), "--campaign requires --pulses")
-    other = activefail(*words, "--pulses", "--slider-diameter", "0.4")
+def test_a_campaign_that_does_not_fit_is_refused(case: Path, campaign: Path, tmp_path: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign")
+    space = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters} | {"k": {"value": 3e9}}
+    with create_run(tmp_path / "run", {"space": space, "sampling": {"initial": 40, "budget": 40}}) as run:
+        run.take()
+    fixed = activefail(*words, tmp_path / "run", "--pulses")
+    refused(fixed, "--campaign: ", "fixes k to 3e+09, but the bearing has 2e+09")
+    with create_run(
+        tmp_path / "other", {"space": {"x": {"low": 0, "high": 1}}, "simulator": {"elsewhere": True}}
+    ) as run:
+        run.add({"x": [0.1, 0.9], "outcome": ["safe", "failure"]})
+    refused(activefail(*words, tmp_path / "other", "--pulses"), "--campaign: ", "must be a campaign under pulses")
+    refused(activefail(*words, campaign), "--campaign requires --pulses")
+    other = activefail(*words, campaign, "--pulses", "--slider-diameter", "0.4")
     refused(other, "--campaign: its [bearing] settings differ from this command's options")
 
 
-def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:
-    result = activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "0.05")
+@pytest.mark.parametrize(("to", "reached", "advice"), [("0.05", 0, "Raise"), ("1e6", 8, "Lower")])
+def test_a_set_of_which_all_survive_or_fail_at_every_level_has_no_curve_and_says_so(
+    case: Path, to: str, reached: int, advice: str
+) -> None:
+    result = activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", to)
     assert result.code == 0
-    assert "0 of 8 records reach it" in result.out
-    assert (
-        "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no curve. "
-        "Raise the levels with --to." in result.out
-    )
-    assert "median" not in result.out
-
-
-def test_a_set_that_fails_at_every_level_has_no_curve_and_says_so(case: Path) -> None:
-    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "1e6", "--mce", "1")
-    result = activefail(*words)
-    assert result.code == 0
-    assert "so there is no curve and no collapse margin ratio. Lower the levels with --to." in result.out
-    assert "8 of the records have a capacity at or below the lowest level of the ladder, 6.25e+04" in result.out
+    assert f"{reached} of 8 records reach it" in result.out
+    assert f"so there is no curve. {advice} the levels with --to." in result.out
     assert "median" not in result.out
 
 
@@ -601,55 +579,30 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
     for old, new, message in (
         ("high = 8.0", "high = 7.0", "--records: must be the 7 records of the campaign, got 8."),
         ("PGV", "velocity", "--simulator: must be a campaign under records, with the variables record and PGV"),
-        ("mass = { value", "mass = { low = 1, high", "--bearing: requires mass."),
     ):
         (plate / "other.toml").write_text(settings.replace(old, new))
         refused(activefail(*words, plate / "other.toml"), message)
     for options, message in (
         (("--pulses",), "--simulator cannot be combined with --pulses."),
-        (("--tolerance", "1e-6"), "--simulator cannot be combined with options of the bearing model"),
         (("--scale-to", "pga"), "--scale-to: must be pgv with --simulator, got 'pga'."),
     ):
         refused(activefail(*words, plate / "plate.toml", *options), message)
-    (plate / "strength.toml").write_text("strength = 1.5\nPGV = 1.0\n")
-    refused(activefail(*words, plate / "plate.toml"), "--bearing: PGV belongs to the ground motion; leave it out.")
-    refused(
-        activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--executor", "dask"),
-        "--executor and --scheduler require --simulator",
-    )
 
 
-def test_a_folder_of_another_analysis_is_refused_and_the_message_says_what_differs(
-    case: Path, plate: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
+def test_a_folder_of_another_analysis_is_refused_and_the_message_says_what_differs(case: Path, plate: Path) -> None:
+    out = plate / "out"
     words = ["ida", "--records", case / "set", "--workers", "1", "--out", out, "--bearing"]
     of_plate = [*words, plate / "strength.toml", "--simulator", plate / "plate.toml"]
     assert activefail(*of_plate).code == 0
     before = {path: path.read_bytes() for path in out.iterdir()}
-    (tmp_path / "stronger.toml").write_text("strength = 1.6\n")
-    shutil.copytree(case / "set", tmp_path / "set")
-    first = tmp_path / "set" / "0a.txt"
-    first.write_text(first.read_text().replace("e-", "e-0", 1) + "0.0\n")
     code = (plate / "plate.py").read_text()
+    (plate / "plate.py").write_text(code.replace("3.9", "3.8"))
     for changed, message in (
-        ([*of_plate, "--bearing", tmp_path / "stronger.toml"], "another bearing"),
-        ([*of_plate, "--records", tmp_path / "set"], "other records"),
-        ([*words, case / "bearing.toml"], "another simulator"),
         (of_plate, "other code of the simulator"),
+        ([*words, case / "bearing.toml"], "another simulator"),
     ):
-        if changed is of_plate:
-            (plate / "plate.py").write_text(code.replace("3.9", "3.8"))
         refused(activefail(*changed), f"{out}/simulations.json: has simulations with {message}. Name another folder")
     assert {path: path.read_bytes() for path in out.iterdir()} == before
-    other = [*words, case / "bearing.toml", "--out", tmp_path / "bearing"]
-    assert activefail(*other).code == 0
-    for options, message in (
-        (("--scale-to", "pga"), "another --scale-to."),
-        (("--tolerance", "1e-6"), "another tolerance."),
-        (("--slider-diameter", "0.4"), "another model."),
-    ):
-        refused(activefail(*other, *options), f"has simulations with {message}")
 
 
 def test_python_finds_the_numbers_of_the_command(case: Path, plate: Path, campaign: Path) -> None:
@@ -693,48 +646,19 @@ def test_model_and_tolerance_are_those_of_the_options(case: Path) -> None:
     assert changed["median"] > 1.02 * usual["median"]
     accurate = json.loads(activefail(*words, "--tolerance", "1e-6").out)
     assert accurate["median"] == pytest.approx(usual["median"], rel=0.01)
-    for options, message in (
-        (("--tolerance", "1"), "`1e-12 <= relative <= 1e-2` must hold for the tolerance, got 1.0"),
-        (("--restitution-coefficient", "2"), "`0 < restitution_coefficient <= 1` must hold, got 2.0"),
-    ):
-        refused(activefail(*words, *options), message)
-
-
-def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:
-    (tmp_path / "bearing.toml").write_text(TOML.replace("mu = 0.06", "mu = 0.2"))
-    result = activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml")
-    assert "note: mu = 0.2 lies outside the paper's range 0.02 to 0.12\n" in result.out
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("text", "options", "message"),
     [
-        (("--outcome", "collapse"), "outcome: must be one of impact, failure, got 'collapse'"),
-        (("--to", "0"), "--to: must be between 1e-75 and 1e+75, got 0"),
-        (("--to", "1e75"), "--to: 1e+75 m/s scales 0a to 3.85e+75 m/s2; a record must stay below 1e+75 m/s2."),
-        (("--mce", "-1"), "--mce: must be positive, got -1"),
-        (
-            ("--scale-to", "sv"),
-            "--scale-to: must be factor, pga, pgv, p695 or sa:T with a period T",
-        ),
+        (TOML, ("--outcome", "collapse"), "outcome: must be one of impact, failure, got 'collapse'"),
+        (TOML, ("--to", "1e75"), "--to: 1e+75 m/s scales 0a to 3.85e+75 m/s2"),
+        (TOML.replace("p = 45\n", ""), (), "bearing.toml: requires p."),
+        (TOML + "T_p = 2.0\n", (), "bearing.toml: T_p: belongs to a pulse"),
     ],
 )
-def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, ...], message: str) -> None:
-    refused(activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", *options), message)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (TOML.replace("p = 45\n", ""), "bearing.toml: requires p."),
-        (
-            TOML + "T_p = 2.0\n",
-            "bearing.toml: T_p: belongs to a pulse; leave it out, because the records are the ground motion.",
-        ),
-        (TOML.replace("mu = 0.06", "mu = -0.1"), "bearing.toml: `mu > 0` must hold, got -0.1."),
-    ],
-)
-def test_a_bearing_that_breaks_a_rule_is_refused(case: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_options_or_a_bearing_that_break_a_rule_are_refused(
+    case: Path, tmp_path: Path, text: str, options: tuple[str, ...], message: str
+) -> None:
     (tmp_path / "bearing.toml").write_text(text)
-    said = message.format(file=tmp_path / "bearing.toml")
-    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), said)
+    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml", *options), message)

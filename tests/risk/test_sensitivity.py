@@ -2,11 +2,9 @@
 
 import importlib
 import json
-import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -355,24 +353,7 @@ def test_pulses_of_a_file_have_indices_without_values_of_other_variables(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"samples": 16.5}, "samples: must be a whole number, got 16.5"),
-        ({"samples": 8}, "samples: must be at least 16, got 8"),
-        ({"hazard": 3}, "hazard: must be a path, got int"),
-        ({"fixed": 3}, "fixed: must be values by name, or a path, got int"),
-    ],
-)
-def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=f"^{re.escape(message)}"):
-        run.sensitivity(**options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
         (["--samples", "100"], "samples: must be a power of two of at least 16, got 100"),
-        (["--outcome", "collapse"], "outcome: must be one of failure, got 'collapse'"),
-        (["--hazard", "hazard.toml", "--question", "asked.toml"], "question: cannot be combined with hazard"),
-        (["--hazard", "hazard.toml", "--fixed", "pulse.toml"], "T_p: is uncertain under a hazard"),
         (["--fixed", "unknown.toml"], "unknown.toml: q: is not a variable of the campaign"),
         (["--question", "correlated.toml"], "T_p and A_p have the correlation 0.5"),
     ],
@@ -382,8 +363,6 @@ def test_what_cannot_be_answered_is_refused(
 ) -> None:
     monkeypatch.chdir(home)
     files = {
-        "asked.toml": "[space]\nmu = { value = 0.05 }\n",
-        "pulse.toml": "T_p = 2.0\n",
         "unknown.toml": "q = 1.0\n",
         "correlated.toml": 'correlation = [["T_p", "A_p", 0.5]]\n[space]\nmu = { value = 0.05 }\n',
     }
