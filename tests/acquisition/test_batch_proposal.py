@@ -115,13 +115,6 @@ def test_the_refinement_never_makes_the_best_design_worse(learned):
     assert bald(*latent.moments(features(best)))[0] >= bald(*latent.moments(features(pool))).max() - 1e-9
 
 
-def test_the_same_generator_gives_the_same_batch(learned):
-    first, repeated = (
-        propose(learned.latent("in"), learned.features, SPACE, entropy, 5, np.random.default_rng(8)) for _ in range(2)
-    )
-    assert np.array_equal(first, repeated)
-
-
 # --- looking ahead -----------------------------------------------------------------------------------------------
 
 
@@ -168,11 +161,6 @@ def test_bringing_values_up_to_date_lazily_loses_next_to_nothing(name, monkeypat
     # Eight factors drive all 400 points here: after a choice many candidates are worth more than before.
     assert worth(lazy) > 0.97 * worth(always)
     assert len(set(lazy.tolist())) == 12
-
-
-def test_looking_ahead_can_choose_all_candidates_once_each():
-    mean, covariance = joint(9, 20, seed=5)
-    assert sorted(greedy_look_ahead(mean, covariance, 9, 9, criterion("globalmi"))) == list(range(9))
 
 
 def expected_information(latent, features, designs, references):
@@ -252,14 +240,6 @@ def test_designs_in_flight_are_not_proposed_again(learned, name):
     assert gap(proposed(first), first) > 0.05
 
 
-def test_no_design_in_flight_is_as_if_none_had_been_named(learned):
-    def proposed(pending):
-        rng = np.random.default_rng(18)
-        return propose(learned.latent("in"), learned.features, SPACE, entropy, 3, rng, pending=pending)
-
-    assert np.array_equal(proposed(None), proposed(np.empty((0, 2))))
-
-
 # --- shares ------------------------------------------------------------------------------------------------------
 
 
@@ -275,12 +255,6 @@ def test_batches_of_any_sizes_add_up_to_the_shares_to_within_a_design(shares, si
         given_out, first = given_out + counts, first + q
     assert given_out.tolist() == apportion(shares, 0, first)
     assert np.abs(given_out - np.multiply(shares, first)).max() < len(shares) - 0.99 or len(shares) == 1
-
-
-def test_what_a_batch_is_too_small_to_divide_is_carried_over():
-    assert [apportion([0.7, 0.3], first, 1) for first in range(10)].count([0, 1]) == 3
-    assert apportion([0.0, 1.0], 4, 5) == [0, 5]
-    assert apportion([1 / 3, 1 / 3, 1 / 3], 0, 4) == [2, 1, 1]
 
 
 @pytest.fixture(scope="module")

@@ -164,8 +164,3 @@ def test_botorchs_sequential_batch_does_not_pile_up(learned):
     function.set_X_pending(first.unsqueeze(0))
     values = function(torch.stack([first, second]).unsqueeze(1))
     assert values[1] > 1.2 * values[0]
-
-
-def test_an_unknown_criterion_is_refused(learned):
-    with pytest.raises(ValueError, match="got 'hunch'"):
-        by_torch("hunch", learned)

@@ -79,12 +79,6 @@ def test_pending_and_failed_designs_are_not_proposed_again() -> None:
         assert np.linalg.norm(again[:, None] - first[None], axis=2).min() > 0.05
 
 
-def test_the_same_generator_proposes_the_same_designs() -> None:
-    surrogate = latent()
-    one, other = (propose_by_margin(surrogate, FEATURES, SPACE, 3, np.random.default_rng(7)) for _ in range(2))
-    np.testing.assert_array_equal(one, other)
-
-
 def test_a_doubtful_population_holds_many_designs_in_doubt() -> None:
     surrogate = latent()
     drawn, F, standardised = doubtful_population(surrogate, FEATURES, SPACE, 4000, np.random.default_rng(0))

@@ -7,7 +7,6 @@ from hypothesis.extra.numpy import arrays
 from scipy.stats import norm
 
 from activefail.acquisition.criteria import (
-    LookAhead,
     bald,
     binary_entropy,
     criterion,
@@ -157,13 +156,6 @@ def test_a_reference_that_is_known_already_takes_no_part(value):
     known = np.column_stack([covariance, np.zeros(6)])
     extra_settings = value(mean, sd, np.append(reference_mean, 1.0), np.append(reference_sd, 0.0), known)
     assert extra_settings == pytest.approx(0.75 * value(mean, sd, reference_mean, reference_sd, covariance), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"])
-def test_each_criterion_is_found_by_its_name(name):
-    named = criterion(name)
-    function = named.gain if isinstance(named, LookAhead) else named
-    assert function.__name__ == name
 
 
 def test_an_unknown_criterion_is_refused():

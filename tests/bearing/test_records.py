@@ -1,5 +1,7 @@
 """Bearings under records: the physics that holds for any ground motion, and the early end of a run."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -56,20 +58,29 @@ def test_the_impulse_to_come_is_the_integral_of_the_linear_interpolation() -> No
     assert samples(a, 1.0).impulse == pytest.approx(area[::100_000], abs=1e-8)
 
 
-def test_a_run_that_may_end_early_has_the_outcome_of_the_whole_one() -> None:
-    X = bearings(120)
-    records = [synthetic(k % 12, peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))]
+def rising(seed: int, peak: float = 0.4, vertical: float = 0.3) -> Accelerogram:
+    """A synthetic record with a vertical component."""
+    return synthetic(seed, peak).with_vertical(synthetic(seed + 100, vertical))
+
+
+@pytest.mark.parametrize("is_rising", [False, True])
+def test_a_run_that_may_end_early_has_the_outcome_of_the_whole_one(is_rising: bool) -> None:
+    X, peaks = bearings(120), np.geomspace(0.08, 1.2, 120)
+    records = [
+        rising(k % 12, peak, 0.7 * peak) if is_rising else synthetic(k % 12, peak) for k, peak in enumerate(peaks)
+    ]
     early, whole = (simulate_records(X, records, to_the_end=to_the_end) for to_the_end in (False, True))
     assert early.outcome.tolist() == whole.outcome.tolist()
     assert set(early.outcome.tolist()) == {0, 1, 2}
-    steps = [run.statistic("steps").sum() for run in (early, whole)]
-    assert steps[0] < 0.9 * steps[1]
+    assert early.statistic("steps").sum() < (1.0 if is_rising else 0.9) * whole.statistic("steps").sum()
 
 
-def test_a_mirrored_record_mirrors_the_motion() -> None:
+@pytest.mark.parametrize("record", [synthetic, rising])
+def test_a_mirrored_record_mirrors_the_motion(record: Callable[..., Accelerogram]) -> None:
     for seed, row in enumerate(bearings(4, 1)):
-        record = synthetic(seed, 0.3)
-        one, other = (simulate_one(bearing_of(row), ground) for ground in (record, record.scaled(-1.0)))
+        ground = record(seed, 0.3)
+        mirrored = Accelerogram(-ground.acceleration, ground.dt, vertical=ground.vertical)
+        one, other = (simulate_one(bearing_of(row), motion) for motion in (ground, mirrored))
         assert other.outcome == one.outcome
         assert other.t == pytest.approx(one.t, abs=1e-9)
         assert other.q == pytest.approx(one.q * MIRROR, abs=1e-7)
@@ -84,11 +95,6 @@ def test_energy_is_conserved_under_records() -> None:
     )
     assert np.median(finer.statistic("energy_error")) < 0.1 * np.median(found.statistic("energy_error"))
     assert (finer.outcome == found.outcome).mean() >= 0.98
-
-
-def rising(seed: int, peak: float = 0.4, vertical: float = 0.3) -> Accelerogram:
-    """A synthetic record with a vertical component."""
-    return synthetic(seed, peak).with_vertical(synthetic(seed + 100, vertical))
 
 
 def test_a_vertical_component_without_motion_changes_no_bit() -> None:
@@ -131,16 +137,6 @@ def test_energy_is_conserved_under_vertical_motion() -> None:
     assert found.statistic("energy_error").max() < 5e-3
 
 
-def test_with_a_vertical_component_a_run_that_may_end_early_has_the_outcome_of_the_whole_one() -> None:
-    X = bearings(120)
-    records = [rising(k % 12, peak, 0.7 * peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))]
-    early, whole = (simulate_records(X, records, to_the_end=to_the_end) for to_the_end in (False, True))
-    assert early.outcome.tolist() == whole.outcome.tolist()
-    assert set(early.outcome.tolist()) == {0, 1, 2}
-    plain = simulate_records(X, [synthetic(k % 12, peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))])
-    assert plain.margin("peak_displacement_ratio").tolist() != early.margin("peak_displacement_ratio").tolist()
-
-
 def lifting(push: float, vertical: float, dt: float = 0.005) -> Accelerogram:
     """A horizontal push [m/s2] of 0.4 s, then a fall of the ground for 0.25 s by an acceleration [g]."""
     t = np.arange(0.0, 3.0, dt)
@@ -174,15 +170,6 @@ def test_what_a_rim_throws_off_is_lost_with_vertical_motion_as_without() -> None
     assert (one.outcome != other.outcome).sum() <= 1
 
 
-def test_a_mirrored_record_keeps_its_vertical_component_and_mirrors_the_motion() -> None:
-    for seed, row in enumerate(bearings(4, 1)):
-        record = rising(seed, 0.3)
-        mirrored = Accelerogram(-record.acceleration, record.dt, vertical=record.vertical)
-        one, other = (simulate_one(bearing_of(row), ground) for ground in (record, mirrored))
-        assert other.outcome == one.outcome
-        assert other.q == pytest.approx(one.q * MIRROR, abs=1e-7)
-
-
 def test_components_of_other_lengths_are_continued_with_zeros_and_other_intervals_refused() -> None:
     short, long = Accelerogram(np.ones(3), 0.1), Accelerogram(np.full(5, 2.0), 0.1)
     assert short.with_vertical(long).acceleration.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0]
@@ -193,8 +180,6 @@ def test_components_of_other_lengths_are_continued_with_zeros_and_other_interval
         short.with_vertical(Accelerogram(np.ones(3), 0.2))
     with pytest.raises(InputError, match=r"vertical: must have as many samples as acceleration, 3, got 5"):
         Accelerogram(np.ones(3), 0.1, vertical=np.ones(5))
-    with pytest.raises(InputError, match=r"vertical: sample 2 must be finite"):
-        Accelerogram(np.ones(3), 0.1, vertical=np.array([0.0, np.nan, 0.0]))
 
 
 def test_no_step_crosses_a_sample() -> None:
@@ -230,23 +215,12 @@ def test_the_order_of_the_method_holds_within_a_segment() -> None:
     assert abs(ends[1] - ends[2]) < 0.1 * abs(ends[0] - ends[2]) + 1e-9
 
 
-def test_a_million_samples_are_a_record() -> None:
-    quiet = Accelerogram(np.append(synthetic(0, 0.2).acceleration, np.zeros(1_000_000)), 0.01)
-    short = synthetic(0, 0.2)
-    row = bearings(1)
-    one, other = simulate_records(np.repeat(row, 2, axis=0), [quiet, short]).outcome
-    assert one == other
-
-
 @pytest.mark.parametrize(
     ("acceleration", "dt", "message"),
     [
         ([1.0], 0.01, "at least 2 samples"),
-        ([[1.0, 2.0]], 0.01, "one axis"),
         ([0.0, float("nan")], 0.01, "sample 2 must be finite"),
-        (["a", "b"], 0.01, "must be numbers"),
         ([0.0, 1.0], 0.0, "dt: must be positive"),
-        ([0.0, 1.0], float("inf"), "dt: must be positive"),
     ],
 )
 def test_what_is_no_record_is_refused(acceleration: list[float], dt: float, message: str) -> None:

@@ -258,14 +258,6 @@ def test_a_rows_result_is_the_same_bit_for_bit_in_any_order_and_any_subset(desig
         same(some, Responses(*(getattr(production, f)[rows] for f in FIELDS)))
 
 
-def test_an_empty_batch_gives_empty_responses():
-    responses = simulate(np.empty((0, 9)))
-    assert responses.outcome.shape == (0,)
-    assert responses.margins.shape == (0, len(o.Margins._fields))
-    assert responses.columns.shape == (0, len(o.COLUMNS))
-    assert responses.outcome_name.shape == (0,)
-
-
 def test_progress_counts_every_row_once_and_may_stop_the_batch(designs):
     done = []
     responses = simulate(designs[:50], progress=done.append)
@@ -482,8 +474,3 @@ def test_a_design_that_cannot_be_built_is_refused_with_its_row():
 def test_a_number_of_threads_below_one_is_refused(threads):
     with pytest.raises(InputError, match=f"threads.*got {threads}"):
         simulate(TABLE_1.latin_hypercube(2, np.random.default_rng(0)), threads=threads)
-
-
-def test_designs_that_are_no_numbers_are_refused():
-    with pytest.raises(InputError, match="must be numbers"):
-        simulate([["four"] * 9])

@@ -15,7 +15,6 @@ from scipy.special import expit
 from activefail.bearing import TABLE_1, Model, simulate
 from activefail.cli import main
 from activefail.comparison.measures import expected_calibration_error
-from activefail.execution.pool import ProcessPool
 from activefail.features import paper_features
 from activefail.figures.paper_planes import PLANES
 from activefail.paper import published
@@ -71,14 +70,6 @@ def test_a_draw_studied_alone_is_the_draw_of_the_study(study):
     assert alone.processes["laplace"].fresh == there.fresh
     assert np.array_equal(alone.logistic["failure"].p_values, study.draws[1].logistic["failure"].p_values)
     assert np.array_equal(alone.held_out, study.draws[1].held_out[:2])
-
-
-def test_draws_studied_in_processes_of_their_own_are_those_of_the_study(study):
-    with ProcessPool(2, "nothing is kept") as pool:
-        draws = paper.study_draws(pool, study.data, 3, ("laplace",), 1)
-    for draw, there in zip(draws, study.draws, strict=True):
-        assert np.array_equal(draw.processes["laplace"].probability, there.processes["laplace"].probability)
-        assert np.array_equal(draw.held_out, there.held_out[:1])
 
 
 def test_the_splits_of_a_draw_are_others_each_time(study):
