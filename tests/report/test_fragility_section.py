@@ -171,11 +171,8 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
     "change",
     [
         lambda text: text.replace('"target": 0.05', '"target": 0.1'),
-        lambda text: text.replace('"look": 1', '"look": 2').replace('"look": 2', '"look": 7'),
         lambda text: text.replace('"D_tot": 0.', '"D_tot": 1.'),
-        lambda text: text.replace('"D_tot"', '"T_b"'),
         lambda _: "3",
-        lambda _: "[null]",
     ],
 )
 def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: Path, change) -> None:
@@ -215,11 +212,8 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
     ("options", "message"),
     [
         (["--fixed", "bearing.toml"], "--fixed requires --hazard."),
-        (["--target", "0.1"], "--target requires --hazard."),
         (["--hazard", "site.toml", "--target", "2"], "target: must be a probability between 0.001 and 0.9"),
-        (["--hazard", "site.toml", "--target", "V"], "a risk category (II, III, IV)"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
-        (["--hazard", "none.toml"], "none.toml"),
     ],
 )
 def test_a_wrong_request_is_refused(ended: Path, monkeypatch, options: list[str], message: str) -> None:
