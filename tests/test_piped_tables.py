@@ -119,8 +119,6 @@ def test_a_table_is_simulated_through_pipes(tmp_path: Path, piped) -> None:
     [
         (f"{DESIGNS}D,0.5,wide\n", "row 4 (line 5), column y: must be a number, got 'wide'."),
         ("", "is empty"),
-        ("x\n1\n", "column 'y': required, but missing"),
-        (b"x,y\n0.1,\xff\n", "must be UTF-8 text"),
     ],
 )
 def test_a_bad_table_on_standard_input_is_refused_and_no_row_is_written(
@@ -173,13 +171,6 @@ def test_a_pipe_gets_utf_8_whatever_the_terminal_s_encoding(home: Path, tmp_path
         done = run_to(out.fileno(), *words, PYTHONIOENCODING="latin-1", PYTHONUTF8="0")
     assert done.returncode == 0, done.stderr
     assert "Brücke," in (tmp_path / "out.csv").read_text(encoding="utf-8")
-
-
-def test_a_closed_standard_input_or_output_is_named(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", None)
-    result = activefail(*predict(home, "--csv", "-", "--out", "-"))
-    assert (result.code, result.out) == (2, "")
-    assert "activefail: standard input: cannot be read: it is closed.\n" in result.err
 
 
 # --- predictions as of earlier simulations -----------------------------------------------------------------------
@@ -310,15 +301,6 @@ def test_without_pyarrow_the_command_that_installs_it_is_named(
     assert os.listdir(tmp_path) == []
 
 
-def test_a_parquet_file_that_cannot_be_written_is_named_and_nothing_is_left(home: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow", reason="pyarrow is an optional extra (activefail[parquet])")
-    (tmp_path / "folder").mkdir()
-    result = activefail("export", home / "run", "--code", home, "--parquet", tmp_path / "folder")
-    assert result.code == 2
-    assert f"{tmp_path / 'folder'}: cannot be written: Is a directory." in result.err
-    assert os.listdir(tmp_path) == ["folder"]
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -333,18 +315,6 @@ def test_an_export_has_one_target(home: Path, piped, words: tuple[str, ...], say
 
 
 # --- what a campaign seeks ---------------------------------------------------------------------------------------
-
-
-def test_a_campaign_says_first_which_boundary_it_seeks_and_how_severe_its_outcomes_are(tmp_path: Path) -> None:
-    home = folder_of(tmp_path)
-    seeking = "seeking    the boundary of failure (outcomes from least to most severe: safe, failure)"
-    result = activefail("run", home / "model.toml", "--out", home / "run", "--budget", "12", "--workers", "1")
-    for words in ((), ("--budget", "16")):
-        if words:
-            result = activefail("resume", home / "run", "--code", home, *words, "--workers", "1")
-        lines = [line for line in result.out.splitlines() if line != "loud code"]
-        assert lines[0] == seeking
-        assert lines.count(seeking) == 1
 
 
 def test_a_display_on_a_terminal_says_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
