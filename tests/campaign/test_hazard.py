@@ -507,23 +507,11 @@ def test_the_share_outside_is_counted_by_variable_and_side(tmp_path: Path) -> No
     assert low_friction.share == 1.0
 
 
-def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) -> None:
+def test_the_command_draws_and_writes_json(tmp_path: Path, folder: Path) -> None:
     path = tmp_path / "site.toml"
     path.write_text(f'description = "a <site>"\n{CORRELATED}{UNCERTAIN}{CURVE}')
     result = activefail("hazard", path, folder, "--out", tmp_path / "figure")
     assert result.code == 0, result.err
-    for line in (
-        "hazard       a <site>",
-        "T_p          median 3 s, 5 to 95 % 1.32 to 6.83 s, dispersion 0.5",
-        "correlation  0.6 between ln PGV and ln T_p",
-        "uncertainty  design requirements 0.2, test data 0.1, modelling 0; together 0.224",
-        "annual rate 0.0001 (return period 10,000 years)",
-        "targets      10 % for risk category II, 5 % for risk category III, 2.5 % for risk category IV",
-        "of the pulses, with the added uncertainty, lie outside the campaign's design space; none is clipped",
-        "             T_p above 5 s: 15.",
-        "note         The hazard has no property bounds",
-    ):
-        assert line in result.out, result.out
     assert (tmp_path / "figure" / "hazard.png").read_bytes().startswith(b"\x89PNG")
     assert b"the campaign's design space" in (tmp_path / "figure" / "hazard.svg").read_bytes()
     (tmp_path / "bearing.toml").write_text(BEARING_FILE)

@@ -14,7 +14,7 @@ from typing import Any
 import hypothesis
 import pytest
 import tomli_w
-from commandline import CommandResult, activefail
+from commandline import activefail, refused
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
@@ -44,14 +44,6 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder.parent / "own_features.py").write_text("def own(X, space):\n    return X\n")
     (folder.parent / "own_model.py").write_text("def run(design):\n    return 'safe'\n")
     return folder
-
-
-def refused(result: CommandResult, *parts: str) -> None:
-    """Assert that the program refused its input, with all these parts and no traceback."""
-    assert (result.code, result.out) == (2, ""), result
-    assert result.err.startswith("activefail: ")
-    assert "Traceback" not in result.err
-    assert [part for part in parts if part not in result.err] == [], result.err
 
 
 # --- campaign files ----------------------------------------------------------------------------------------------
