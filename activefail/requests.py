@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from activefail.arguments import executor_named, names_of
 from activefail.csv_table import Target
 from activefail.errors import InputError, naming
-from activefail.files import path_of
+from activefail.files import check_file, path_of, writing_to
 from activefail.progress import Stage, silent
+from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.request import REQUIRED, Option, Request, declared, function_of, option
 from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
@@ -20,9 +21,11 @@ if TYPE_CHECKING:
     from activefail.bearing.design import Model, Tolerance
     from activefail.campaign.hazard import Hazard
     from activefail.campaign.question import Question
+    from activefail.comparison.equivalent import ComparisonFindings
     from activefail.execution.executor import Executor
     from activefail.findings.error import ErrorFindings
     from activefail.findings.probability import ProbabilityFindings
+    from activefail.report.evidence import ReportFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
@@ -495,6 +498,89 @@ class HazardRequest(Request["HazardSummary"]):
 
 
 hazard = function_of("hazard", HazardRequest)
+
+
+@dataclass(frozen=True)
+class CompareRequest(Request["ComparisonFindings"]):
+    """Compare the campaign with static designs on the same fresh designs.
+
+    Writes a table and a figure to the subfolder `compare` of the run folder.
+    """
+
+    budgets: "Sequence[int]" = option((), "Numbers of simulations of the campaign; six by default.")
+    test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000)
+    static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default.")
+    hypercubes: int = option(1, "Number of static designs of each size.", low=1)
+
+    def answer(self, run: "Run") -> "ComparisonFindings":
+        from activefail.comparison.equivalent import ComparisonFindings
+        from activefail.comparison.static import compare, remember_scores, write_scores
+        from activefail.figures.curves import plot_learning_curves
+        from activefail.figures.style import save_png_and_svg
+
+        with nullcontext(self.executor) if self.executor else run._shown_executor() as pool:
+            scores = compare(
+                run.campaign, run.store, pool, list(self.budgets), self.test_designs, self.stage, self.static,
+                self.hypercubes,
+            )  # fmt: skip
+        results = run.folder / COMPARISON
+        figure = plot_learning_curves(scores, run.boundary, scores[0].test_designs)
+        with writing_to(results):
+            results.mkdir(exist_ok=True)
+            write_scores(scores, run.campaign.simulator.outcomes, self.test_designs, results / SCORES)
+            save_png_and_svg(figure, results, CURVES)
+        remember_scores(run.store, scores, self.test_designs)
+        return ComparisonFindings(scores, run.boundary, results)
+
+
+@dataclass(frozen=True)
+class ReportRequest(Request["ReportFindings"]):
+    """Write a campaign's results to one HTML file.
+
+    The file needs no other file and no network.
+    """
+
+    page: "Path | str | None" = option(
+        None, "File to write; report.html in the run folder by default.", Path, names=("--out",)
+    )
+    hazard: "Hazard | Path | str | None" = option(
+        None, "Hazard file (docs/hazard.md): adds fragility curves and the bearing that each target requires.", Path
+    )
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
+    target: "float | str | None" = option(
+        None,
+        "With --hazard: largest acceptable probability, such as 0.10, or a risk category; by default all three "
+        "categories.",
+        str,
+    )
+
+    writes: ClassVar = False
+
+    def answer(self, run: "Run") -> "ReportFindings":
+        from activefail.campaign.inquiry import Inquiry
+        from activefail.report.evidence import ReportFindings, evidence_of
+        from activefail.report.fragility_section import risk_findings, risk_options
+        from activefail.report.page import render, write_report
+
+        page = run.folder / REPORT if self.page is None else path_of("page", self.page)
+        if self.page is not None:
+            check_output("page (--out)", page)
+            check_file(page, "a report", (".html", ".htm"))
+        if self.hazard is None and (self.fixed is not None or self.target is not None):
+            raise InputError(f"{'fixed' if self.fixed is not None else 'target'}: requires hazard.")
+        risk = None
+        if self.hazard is not None:
+            wanted = risk_options(self.hazard, self.fixed, self.target, run.campaign.simulator.outcomes, run.boundary)
+            asked = Inquiry.of(run.campaign, self.hazard, None, self.fixed)
+            with estimating(run, stage=self.stage, simulates=False) as estimator:
+                risk = risk_findings(estimator, asked, wanted, self.stage)
+        failure = run.failure(self.stage)
+        with one_thread():
+            evidence = evidence_of(run.campaign, run.store, run.classifier, self.stage)
+            text = render(run.findings, evidence, run.store, self.stage, failure, risk)
+        with writing_to(page):
+            write_report(text, page)
+        return ReportFindings(evidence, page)
 
 
 @contextmanager

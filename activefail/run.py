@@ -24,21 +24,21 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import values_of
 from activefail.display import campaign_display, shown_executor
 from activefail.errors import InputError, StoreError
-from activefail.files import path_of, writing_to
+from activefail.files import path_of
 from activefail.findings.summary import Summary
 from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
-from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES
 from activefail.request import method_of
 from activefail.requests import (
+    CompareRequest,
     DesignRequest,
     FragilityRequest,
     ProbabilityRequest,
+    ReportRequest,
     SensitivityRequest,
     VerifyRequest,
-    estimating,
 )
 from activefail.surrogate.threads import one_thread, one_thread_of_blas
 from activefail.visible import visible
@@ -48,13 +48,11 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from activefail.campaign.hazard import Hazard
     from activefail.campaign.question import Question
     from activefail.campaign.results_table import ResultTable, Table
     from activefail.campaign.settings import CampaignSettings
-    from activefail.comparison.static import Score
     from activefail.csv_table import Source, Target
-    from activefail.execution.executor import AsynchronousExecutor, CountingExecutor, Executor
+    from activefail.execution.executor import AsynchronousExecutor, CountingExecutor
     from activefail.features import FeatureMap
     from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
@@ -63,7 +61,6 @@ if TYPE_CHECKING:
     from activefail.loop.in_flight import HandedOut
     from activefail.loop.learning import Learned
     from activefail.record.run_folder import FolderStore
-    from activefail.report.evidence import Evidence
     from activefail.risk.design.findings import DesignFindings
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
@@ -75,9 +72,6 @@ _LARGEST_ID = 2**53
 
 _CONFIDENCE = 0.9
 """Of the interval of a verified error that a notebook shows."""
-
-TEST_DESIGNS = 2000
-"""Fresh designs of a comparison by default."""
 
 
 class Taken(NamedTuple):
@@ -691,6 +685,8 @@ class Run:
     fragility = method_of("fragility", FragilityRequest)
     design = method_of("design", DesignRequest)
     sensitivity = method_of("sensitivity", SensitivityRequest)
+    compare = method_of("compare", CompareRequest)
+    report = method_of("report", ReportRequest)
 
     def asked(
         self,
@@ -765,48 +761,6 @@ class Run:
         waiting = (handed_out.in_flight.origin == INITIAL).any()
         return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(self.campaign)))
 
-    def compare(
-        self,
-        budgets: list[int] | None = None,
-        test_designs: int = TEST_DESIGNS,
-        stage: Callable[[str], None] = lambda _: None,
-        executor: "Executor | None" = None,
-        static: list[int] | None = None,
-        hypercubes: int = 1,
-    ) -> "list[Score]":
-        """Compare the campaign with static designs on the same fresh designs.
-
-        Writes a table and a figure to the subfolder `compare` of the run folder. `activefail.comparison.equivalent`
-        gives the size of a static design that is as accurate.
-
-        Args:
-            budgets: numbers of simulations of the campaign; six by default.
-            test_designs: number of fresh test designs.
-            stage: called with each stage of the work.
-            executor: as for `take`.
-            static: sizes of the static designs; the budgets by default.
-            hypercubes: number of static designs of each size.
-
-        Raises:
-            InputError: if a budget exceeds the recorded simulations, a number is too small, or the table or figure
-                cannot be written.
-        """
-        from activefail.comparison.static import compare, remember_scores, write_scores
-        from activefail.figures.curves import plot_learning_curves
-        from activefail.figures.style import save_png_and_svg
-
-        check_whole("hypercubes", hypercubes, 1)
-        with nullcontext(executor) if executor else self._shown_executor() as pool:
-            scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage, static, hypercubes)
-        results = self.folder / COMPARISON
-        figure = plot_learning_curves(scores, self.boundary, scores[0].test_designs)
-        with writing_to(results):
-            results.mkdir(exist_ok=True)
-            write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / SCORES)
-            save_png_and_svg(figure, results, CURVES)
-        remember_scores(self.store, scores, test_designs)
-        return scores
-
     def failure(self, stage: Callable[[str], None] = lambda _: None) -> "FailureFindings | None":
         """What is known of the probability of failure and the most probable failure.
 
@@ -818,49 +772,6 @@ class Run:
         learned = self.learn(stage)
         with one_thread():
             return failure_findings(self.campaign, self.store, learned, stage)
-
-    def report(
-        self,
-        target: Path | str | None = None,
-        stage: Callable[[str], None] = lambda _: None,
-        hazard: "Hazard | Path | str | None" = None,
-        fixed: "Mapping[str, float] | Path | str | None" = None,
-        design_target: "float | str | None" = None,
-    ) -> "Evidence":
-        """Write the campaign's results to one HTML file; returns the evidence of its accuracy.
-
-        Args:
-            target: file to write; `report.html` in the run folder by default.
-            stage: called with each stage of the work.
-            hazard: a hazard, or its file: adds the fragility under it, and the values that targets require.
-            fixed: with a hazard: values of the bearing's variables, by name, or a TOML file.
-            design_target: with a hazard: largest acceptable probability, or a risk category; by default the three
-                categories.
-
-        Raises:
-            InputError: if an argument is invalid, the file cannot be written, or a hazard is given before the initial
-                design is finished.
-        """
-        from activefail.report.evidence import evidence_of
-        from activefail.report.fragility_section import risk_findings, risk_options
-        from activefail.report.page import render, write_report
-
-        if hazard is None and (fixed is not None or design_target is not None):
-            raise InputError(f"{'fixed' if fixed is not None else 'design_target'}: requires hazard.")
-        risk = None
-        if hazard is not None:
-            options = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
-            asked = Inquiry.of(self.campaign, hazard, None, fixed)
-            with estimating(self, stage=stage, simulates=False) as estimator:
-                risk = risk_findings(estimator, asked, options, stage)
-        failure = self.failure(stage)
-        with one_thread():
-            evidence = evidence_of(self.campaign, self.store, self.classifier, stage)
-            page = render(self.findings, evidence, self.store, stage, failure, risk)
-        target = self.folder / REPORT if target is None else path_of("target", target)
-        with writing_to(target):
-            write_report(page, target)
-        return evidence
 
     def _shown_executor(self) -> "CountingExecutor":
         """All cores of this machine, with a progress bar."""

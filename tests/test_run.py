@@ -98,11 +98,11 @@ def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, t
         (shown,) = re.findall("<th>error</th><td>(.*?)</td>", run._repr_html_())
         assert shown.startswith(f"{percent(error.error, 2)} (")
         assert shown.endswith("of the design space with 90 % confidence, 60 fresh simulations")
-        assert {score.sampling for score in run.compare([20, 30], 100)} == {"active", "static"}
+        assert {score.sampling for score in run.compare([20, 30], 100).scores} == {"active", "static"}
         assert (taken / "compare" / "scores.csv").is_file()
         assert run.export_table(tmp_path / "designs.csv") == 30
         assert run.predict_table(tmp_path / "designs.csv", tmp_path / "predicted.csv") == 0
-        judged = run.report(tmp_path / "report.html").error
+        judged = run.report(tmp_path / "report.html").evidence.error
         assert (judged.error, judged.low, judged.high) == (error.error, error.low, error.high)
         assert "failure" in (tmp_path / "report.html").read_text()
 

@@ -8,7 +8,6 @@ from activefail.cli.campaigns import campaigns, export, predict, resume, run, st
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
-from activefail.cli.report import report
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 from activefail.requests import (
@@ -17,6 +16,7 @@ from activefail.requests import (
     HazardRequest,
     IdaRequest,
     ProbabilityRequest,
+    ReportRequest,
     SensitivityRequest,
     VerifyRequest,
 )
@@ -42,7 +42,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     command_of("ida", IdaRequest): "--records farfield --bearing bearing.toml --out figures",
     export: "runs/first --csv simulations.csv",
     compare: "runs/first --static 500,1000,2000",
-    report: "runs/first --out report.html",
+    command_of("report", ReportRequest): "runs/first --out report.html",
     explore: "runs/first",
     paper: "--draws 4 --fresh 1000",
     doctor: "",

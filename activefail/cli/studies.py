@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +11,7 @@ from activefail.cli.common import AsJson, Code, opened_run, print_json, show_sta
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.interrupts import INTERRUPTED, stop_on_signals
-from activefail.record.layout import COMPARISON, CURVES, SCORES, check_output
+from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -132,24 +131,13 @@ def _compare_run(
     as_json: bool,
     code: Path | None,
 ) -> None:
-    from activefail.comparison.equivalent import equivalent
-    from activefail.comparison.static import score_lines
-    from activefail.run import TEST_DESIGNS
-
     with opened_run(folder, write=True, code=code) as opened:
-        scores = opened.compare(budgets, test or TEST_DESIGNS, show_stage, static=static, hypercubes=seeds)
+        found = opened.compare(budgets, test or 2000, static, seeds, stage=show_stage)
         show_unseen(opened.summary)
-    same = equivalent(scores)
     if as_json:
-        rows = [asdict(row) for row in scores]
-        print_json({"boundary": opened.boundary, "scores": rows, "equivalent": None if same is None else asdict(same)})
+        print_json(found.as_json())
         return
-    print("\n".join(score_lines(scores, opened.boundary)))
-    results = visible(str(folder / COMPARISON))
-    print(f"table      {results}/{SCORES}")
-    print(f"curves     {results}/{CURVES}.png and .svg")
-    if same is not None:
-        print(same.in_words(opened.boundary))
+    print("\n".join(map(visible, found.lines)))
 
 
 def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None, as_json: bool) -> None:

@@ -1,12 +1,15 @@
 """The size of a static design that is as accurate as a campaign."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from activefail.comparison.seeds import Point, simulations_to_reach
-from activefail.comparison.static import Score, by_size
+from activefail.comparison.static import Score, by_size, score_lines
+from activefail.record.layout import CURVES, SCORES
 from activefail.shares import percent
 
 
@@ -94,3 +97,39 @@ def equivalent(scores: Sequence[Score]) -> Equivalent | None:
 def _rounded(size: float) -> int:
     """A size to two significant digits: interpolation does not give more."""
     return int(float(f"{size:.2g}"))
+
+
+@dataclass(frozen=True)
+class ComparisonFindings:
+    """The scores of a campaign and of static designs.
+
+    Attributes:
+        scores: of both, at each number of simulations.
+        boundary: outcome of the target boundary.
+        folder: with the table and the figure.
+    """
+
+    scores: list[Score]
+    boundary: str
+    folder: Path
+    exit_code: ClassVar[int] = 0
+
+    @property
+    def equivalent(self) -> Equivalent | None:
+        """The size of a static design that is as accurate as the campaign; None without a static design."""
+        return equivalent(self.scores)
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        return [
+            *score_lines(self.scores, self.boundary),
+            f"table      {self.folder}/{SCORES}",
+            f"curves     {self.folder}/{CURVES}.png and .svg",
+            *([] if self.equivalent is None else [self.equivalent.in_words(self.boundary)]),
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        same = None if self.equivalent is None else asdict(self.equivalent)
+        return {"boundary": self.boundary, "scores": [asdict(row) for row in self.scores], "equivalent": same}

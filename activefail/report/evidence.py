@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +109,30 @@ class Evidence:
     reliability: Reliability | None
     error: ErrorEstimate | None
     missing: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ReportFindings:
+    """A report that was written.
+
+    Attributes:
+        evidence: of the classifier's accuracy.
+        page: the file.
+    """
+
+    evidence: Evidence
+    page: Path
+    exit_code: ClassVar[int] = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """What the report lacks, and its file, as lines of a terminal."""
+        missing = (f"missing    {reason}" for reason in self.evidence.missing.values())
+        return [*missing, f"report     {self.page}"]
+
+    def as_json(self) -> dict[str, Any]:
+        """The same as JSON values."""
+        return {"page": str(self.page), "missing": self.evidence.missing}
 
 
 def evidence_of(

@@ -234,8 +234,8 @@ def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_pa
         "hazard: requires the variable 'T_p' of a pulse; the campaign has x.",
     )
     with open_run(tmp_path / "run", code=tmp_path) as opened:
-        with pytest.raises(InputError, match="design_target: requires hazard"):
-            opened.report(design_target="II")
+        with pytest.raises(InputError, match="target: requires hazard"):
+            opened.report(target="II")
         opened.report(tmp_path / "page.html")
     assert "Fragility" not in (tmp_path / "page.html").read_text()
 
