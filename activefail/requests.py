@@ -564,7 +564,7 @@ class ReportRequest(Request["ReportFindings"]):
 
         page = run.folder / REPORT if self.page is None else path_of("page", self.page)
         if self.page is not None:
-            check_output("page (--out)", page)
+            check_output("--out", page)
             check_file(page, "a report", (".html", ".htm"))
         if self.hazard is None and (self.fixed is not None or self.target is not None):
             raise InputError(f"{'fixed' if self.fixed is not None else 'target'}: requires hazard.")
