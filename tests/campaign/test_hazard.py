@@ -380,6 +380,10 @@ WRONG = [
         PERIOD + PGV + "[curve]\npgv_m_s = [1, 2, 3]\nannual_rate = [0.1, 0.01]\n",
         "curve: `pgv_m_s` and `annual_rate` must have equal lengths, got 3 and 2",
     ),
+    (
+        PERIOD + PGV + "[curve]\npgv_m_s = [20, 200]\nannual_rate = [0.1, 0.01]\n",
+        f"curve.pgv_m_s: must be at most 10 m/s, got 200{UNIT}",
+    ),
     (PERIOD + PGV + "[curve]\npgv_m_s = [2, 1]\nannual_rate = [0.1, 0.01]\n", "curve.pgv_m_s: must increase"),
     (PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.1]\n", "curve.annual_rate: must decrease"),
 ]

@@ -454,7 +454,8 @@ def test_a_format_that_would_fill_the_memory_is_refused_before_it_is_used(receiv
     settings = tomllib.loads(text) | {"simulator": {"command": command, "margins": ["m"]}}
     (received / "campaign.toml").write_text(tomli_w.dumps(settings))
     for words in commands(received):
-        refused(activefail(*words), "campaign.toml: simulator.command: ", limit)
+        if words[0] != "status":  # reads no command
+            refused(activefail(*words), "campaign.toml: simulator.command: ", limit)
 
 
 @pytest.mark.parametrize(
