@@ -47,7 +47,7 @@ from activefail.report.picture import picture
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
-from activefail.visible import quoted
+from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
 """Most features in the pair plot: those with the shortest length scales."""
@@ -319,7 +319,7 @@ def render(
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
     numbers: dict[str, Any] = {
-        "title": settings.description or folder.name,
+        "title": visible(settings.description or folder.name),
         "version": __version__,
         "settings": settings,
         "simulator": simulator_in_words(settings),

@@ -156,11 +156,10 @@ AnyPrior = TypeVar("AnyPrior", bound=Hyperparameters)
 
 
 def _hyperparameters(state: State, name: str, kind: type[AnyPrior]) -> AnyPrior:
-    return kind(
-        float(state[f"{name}/mean"]),
-        float(state[f"{name}/log_outputscale"]),
-        state[f"{name}/log_lengthscale"],
-    )
+    mean, output, length = (state[f"{name}/{key}"] for key in ("mean", "log_outputscale", "log_lengthscale"))
+    with np.errstate(over="raise"):
+        np.exp(2.0 * np.append(length, output))  # every scale is a number
+    return kind(float(mean), float(output), length)
 
 
 def _saved_latent(state: State, name: str, F: Array, beyond: NDArray[np.bool_], kernel: Kernel) -> SavedLatent:
@@ -213,7 +212,7 @@ def _checked(latent: AnyLatent) -> AnyLatent:
     Raises:
         ArithmeticError: if it is not finite.
     """
-    with np.errstate(all="ignore"):
+    with np.errstate(all="raise", under="ignore"):
         moments = latent.moments(latent.features[:1])
     if not (np.isfinite(moments.mean).all() and np.isfinite(moments.sd).all()):
         raise ArithmeticError
