@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
+from activefail.loop import proposing  # noqa: F401 (as h5py: `ask` loads it only to propose)
 from activefail.loop.asking import ask
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.progress import Observer
