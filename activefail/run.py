@@ -21,7 +21,6 @@ from activefail.arguments import (
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import values_of
 from activefail.display import campaign_display, shown_executor
 from activefail.errors import InputError, StoreError
 from activefail.files import path_of
@@ -703,14 +702,6 @@ class Run:
             InputError: naming the file, the key, the rule and the value.
         """
         return Inquiry.of(self.campaign, None, question, fixed).question
-
-    def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
-        """Values of variables, by name or from a TOML file.
-
-        Raises:
-            InputError: if a name is not a variable, or a value is not a number.
-        """
-        return values_of(fixed, self.space)
 
     def _save_estimate(self, findings: "ProbabilityFindings") -> None:
         """Save an estimate from the present record; a run open for reading saves none."""

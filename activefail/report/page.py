@@ -15,7 +15,7 @@ from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
 from activefail.campaign.question import has_pulse
 from activefail.comparison.equivalent import equivalent
-from activefail.comparison.static import given_in_words
+from activefail.comparison.static import given_in_words, median_score
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
@@ -95,7 +95,7 @@ def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
         "picture": picture(plot_learning_curves(curve.scores, boundary, curve.test_size), "curve", "Learning curve"),
         "scores": scores,
         "last": last,
-        "static": static[0] if static and last not in static else None,
+        "static": median_score(static) if static and last not in static else None,
         "both": len({score.sampling for score in scores}) > 1,
         "test_size": curve.test_size,
         "given": given_in_words(scores),
