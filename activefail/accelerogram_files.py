@@ -11,8 +11,7 @@ import numpy as np
 from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError, naming
-from activefail.files import read_regular
-from activefail.visible import visible
+from activefail.trust import read_regular
 
 UNITS = {"g": GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
 """Units of acceleration, in m/s2."""
@@ -55,19 +54,19 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None 
         raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
     path = Path(path)
     if dt is not None and not (math.isfinite(dt) and dt > 0.0):
-        raise InputError(f"{visible(str(path))}: dt: must be positive and finite, got {dt} s.")
+        raise InputError(f"{path}: dt: must be positive and finite, got {dt} s.")
     try:
         data = read_regular(path, _LARGEST, follow=True)
     except OSError as error:
-        raise InputError(f"{visible(str(path))}: {error.strerror or error}") from None
+        raise InputError(f"{path}: {error.strerror or error}") from None
     except ValueError as error:
-        raise InputError(f"{visible(str(path))} {error}") from None
+        raise InputError(f"{path} {error}") from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(f"{visible(str(path))}: must be text in UTF-8 or ASCII, got UTF-16.")
+        raise InputError(f"{path}: must be text in UTF-8 or ASCII, got UTF-16.")
     # The mark of UTF-8 before the first number would make its line a header.
     text = data.removeprefix(codecs.BOM_UTF8).decode("latin-1")
     lines = text.splitlines()
-    with naming(f"{visible(str(path))}: "):
+    with naming(f"{path}: "):
         is_at2 = re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE)
         values, interval = _of_at2(lines, unit, dt) if is_at2 else _of_columns(lines, dt)
         return Accelerogram(UNITS[unit] * values, interval, path.stem)
@@ -108,9 +107,9 @@ def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, 
         if (match := _KIND.search(line)) is None:
             continue
         if match[1].upper() != "ACCELERATION":
-            raise InputError(f"line {k}: must state an acceleration, got {visible(line.strip())!r}.")
+            raise InputError(f"line {k}: must state an acceleration, got {line.strip()!r}.")
         if match[2].lower() != unit.partition("/")[0]:
-            raise InputError(f"line {k}: must state the unit {unit} (--unit), got {visible(line.strip())!r}.")
+            raise InputError(f"line {k}: must state the unit {unit} (--unit), got {line.strip()!r}.")
     stated = {}
     for name in ("NPTS", "DT"):
         match = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
@@ -118,11 +117,11 @@ def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, 
             # The oldest files: two numbers, then their names.
             match = re.match(rf"\s*({_NUMBER.pattern})[\s,]+({_NUMBER.pattern})", lines[place])
             if match is None:
-                raise InputError(f"line {place + 1}: must state {name}, got {visible(lines[place])!r}.")
+                raise InputError(f"line {place + 1}: must state {name}, got {lines[place]!r}.")
             stated = {"NPTS": match[1], "DT": match[2]}
             break
         if re.match(r",\d", lines[place][match.end() :]):
-            raise InputError(f"line {place + 1}: {name}: must have a decimal point, got {visible(lines[place])!r}.")
+            raise InputError(f"line {place + 1}: {name}: must have a decimal point, got {lines[place]!r}.")
         stated[name] = match[1]
     values = np.array([x for k, line in enumerate(lines[place + 1 :], place + 2) for x in _numbers(line, k)])
     count = _value(stated["NPTS"])
@@ -145,8 +144,7 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         rows.append((k, _numbers(line, k)))
         if len(rows[-1][1]) != len(rows[0][1]) or len(rows[0][1]) > 2:
             raise InputError(
-                f"line {k}: must have one or two numbers, as many as the first line, got {visible(line)!r}."
-                f"{_about_commas(line)}"
+                f"line {k}: must have one or two numbers, as many as the first line, got {line!r}.{_about_commas(line)}"
             )
     if not rows:
         raise InputError("must have accelerations, got none.")
@@ -200,10 +198,10 @@ def _numbers(line: str, k: int) -> list[float]:
         if not part:
             continue
         if not _NUMBER.fullmatch(part):
-            raise InputError(f"line {k}: must be numbers, got {visible(part)!r}.")
+            raise InputError(f"line {k}: must be numbers, got {part!r}.")
         numbers.append(_value(part))
         if not math.isfinite(numbers[-1]):
-            raise InputError(f"line {k}: must be finite, got {visible(part)!r}.")
+            raise InputError(f"line {k}: must be finite, got {part!r}.")
     return numbers
 
 

@@ -1,7 +1,6 @@
 """Sets of ground-motion records: a folder of files with an optional table, or those of FEMA P695."""
 
-import csv
-import io
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +11,8 @@ import numpy as np
 from activefail.accelerogram_files import UNITS, doubts, read_accelerogram
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
+from activefail.csv_table import Table
 from activefail.errors import InputError, naming
-from activefail.files import read_regular
-from activefail.visible import visible
 
 P695 = {
     "farfield": "farfield",
@@ -29,7 +27,9 @@ TABLE = "records.csv"
 
 _COLUMNS = ("file", "vertical", "unit", "event", "dt")
 _SUFFIXES = (".at2", ".txt", ".csv", ".dat")
-_LARGEST_TABLE = 1_000_000
+_MOST_RECORDS = 10_000
+"""Most rows of the table."""
+
 _SHOWN = 5
 """Most names, or notes on single records, that are shown."""
 
@@ -132,46 +132,40 @@ def read_record_set(
             raise InputError("--vertical: activefail[records] has only horizontal components of the FEMA P695 records.")
         return _p695(str(folder))
     if not folder.is_dir():
-        raise InputError(
-            f"{visible(str(folder))}: is not a folder of records. The sets of FEMA P695 are {', '.join(P695)}."
-        )
-    table = folder / TABLE
-    rows = _rows(table) if table.exists() else _files(folder)
+        raise InputError(f"{folder}: is not a folder of records. The sets of FEMA P695 are {', '.join(P695)}.")
+    files = _files(folder)
+    has_table = (folder / TABLE).exists()
+    places = [str(folder / name) for name in files]
+    table = _table(folder / TABLE) if has_table else Table("", ("file",), [[name] for name in files], places)
+    rows = range(len(table.rows))
     if len(rows) < 2:
-        raise InputError(f"{visible(str(folder))}: must have at least 2 records, got {len(rows)}.")
-    records = []
-    for place, row in rows:
-        name, stated = row["file"], row.get("unit") or unit
+        raise InputError(f"{folder}: must have at least 2 records, got {len(rows)}.")
+
+    def motion_in(column: str, row: int) -> Accelerogram:
+        stated, interval = table.cell(row, "unit") or unit, table.number(row, "dt")
         if not stated:
-            raise InputError(f"{place}: requires a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
+            raise InputError(f"{table.places[row]}: requires a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
         if stated not in UNITS:
-            raise InputError(f"{place}: unit: must be one of {', '.join(UNITS)}, got {visible(stated)!r}.")
-        interval = _interval(place, row.get("dt"), dt)
-        motion = read_accelerogram(folder / name, stated, interval)
-        if vertical:
-            motion = _with_vertical(motion, folder, place, row, stated, interval)
-        records.append(SetRecord(motion, row.get("event") or name))
-    verticals = {row["vertical"] for _, row in rows if row.get("vertical")}
-    named = {row["file"] for _, row in rows} | verticals | {TABLE}
-    left_out = tuple(row["file"] for _, row in _files(folder) if row["file"] not in named)
-    without_event = sum(not row.get("event") for _, row in rows)
-    return RecordSet(folder.name, tuple(records), without_event, left_out, unused=0 if vertical else len(verticals))
+            raise table.broken(row, "unit", f"must be one of {', '.join(UNITS)}", stated)
+        return read_accelerogram(folder / table.cell(row, column), stated, dt if math.isnan(interval) else interval)
 
+    def with_vertical(row: int) -> Accelerogram:
+        if (name := table.cell(row, "vertical")) is None:
+            place = table.places[row]
+            raise InputError(f"{place}: --vertical requires the file of the vertical component (column `vertical`).")
+        motion, component = motion_in("file", row), motion_in("vertical", row)
+        with naming(f"{folder / name}: "):
+            return motion.with_vertical(component)
 
-def _with_vertical(
-    motion: Accelerogram, folder: Path, place: str, row: dict[str, str], unit: str, dt: float | None
-) -> Accelerogram:
-    """A record with the vertical component that its row names.
-
-    Raises:
-        InputError: if the row names none, or the file cannot be read or combined.
-    """
-    name = row.get("vertical", "")
-    if not name:
-        raise InputError(f"{place}: --vertical requires the file of the vertical component (column `vertical`).")
-    component = read_accelerogram(folder / name, unit, dt)
-    with naming(f"{visible(str(folder / name))}: "):
-        return motion.with_vertical(component)
+    motions = [with_vertical(row) if vertical else motion_in("file", row) for row in rows]
+    events = [table.cell(row, "event") for row in rows]
+    names = [table.cell(row, "file") for row in rows]
+    verticals = {table.cell(row, "vertical") for row in rows} - {None}
+    records = tuple(
+        SetRecord(motion, event or name) for motion, event, name in zip(motions, events, names, strict=True)
+    )
+    left_out = tuple(name for name in files if name not in {*names, *verticals, TABLE})
+    return RecordSet(folder.name, records, events.count(None), left_out, unused=0 if vertical else len(verticals))
 
 
 def _p695(name: str) -> RecordSet:
@@ -185,7 +179,7 @@ def _p695(name: str) -> RecordSet:
     except ImportError as error:
         raise InputError(
             f"{name}: requires the records of FEMA P695, which activefail does not contain: pip install "
-            f"'activefail[records]' ({visible(str(error))})."
+            f"'activefail[records]' ({error})."
         ) from None
     loaded = load_ground_motions(P695[name])
     records = []
@@ -199,67 +193,33 @@ def _p695(name: str) -> RecordSet:
     return RecordSet(f"FEMA P695 {name}", tuple(records), of_p695=P695[name])
 
 
-def _files(folder: Path) -> list[tuple[str, dict[str, str]]]:
-    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
-    return [(visible(str(folder / name)), {"file": name}) for name in names]
+def _files(folder: Path) -> list[str]:
+    """The names of the files of records in a folder."""
+    return sorted(path.name for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
 
 
-def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
-    """The rows of the table by column, each with its place for messages.
+def _table(path: Path) -> Table:
+    """The table of a set.
 
     Raises:
-        InputError: if a column or a value breaks a rule.
+        InputError: if a column or a file's name breaks a rule.
     """
-    shown = visible(str(table))
-    try:
-        text = read_regular(table, _LARGEST_TABLE, follow=True).decode("utf-8-sig")
-        read = list(csv.reader(io.StringIO(text, newline="")))
-    except OSError as error:
-        raise InputError(f"{shown}: cannot be read: {error.strerror or error}.") from None
-    except (ValueError, csv.Error) as error:
-        raise InputError(f"{shown}: cannot be read: {error}.") from None
-    header = [name.strip() for name in read[0]] if read else []
-    if "file" not in header:
-        raise InputError(f"{shown}: requires a column `file`, got {visible(', '.join(header)) or 'none'}.")
-    for name in header:
+    table = Table.of_csv(path, _MOST_RECORDS)
+    table.require(["file"])
+    for name in table.columns:
         if name not in _COLUMNS:
-            raise InputError(f"{shown}: unknown column {visible(name)!r}; columns are {', '.join(_COLUMNS)}.")
-        if header.count(name) > 1:
-            raise InputError(f"{shown}: columns must have different names, got {name!r} twice.")
-    rows: list[tuple[str, dict[str, str]]] = []
-    seen: dict[str, int] = {}
-    for line, values in enumerate(read[1:], 2):
-        if not any(value.strip() for value in values):
-            continue
-        place = f"{shown}: line {line}"
-        if len(values) != len(header):
-            raise InputError(f"{place}: must have {len(header)} values, got {len(values)}.")
-        row = dict(zip(header, (value.strip() for value in values), strict=True))
-        if not row["file"] or Path(row["file"]).name != row["file"]:
-            raise InputError(
-                f"{place}: file: must be the name of a file in the folder of the table, got {visible(row['file'])!r}."
-            )
-        if (up := row.get("vertical")) and Path(up).name != up:
-            raise InputError(
-                f"{place}: vertical: must be the name of a file in the folder of the table, got {visible(up)!r}."
-            )
-        if row["file"] in seen:
-            raise InputError(f"{place}: file: {visible(row['file'])} is in line {seen[row['file']]} already.")
-        seen[row["file"]] = line
-        rows.append((place, row))
-    return rows
+            raise InputError(f"{path}: unknown column {name!r}; columns are {', '.join(_COLUMNS)}.")
+    names = [table.cell(row, "file") for row in range(len(table.rows))]
+    for row, name in enumerate(names):
+        for column, file in (("file", name), ("vertical", table.cell(row, "vertical") or name)):
+            if file is None or Path(file).name != file:
+                raise table.broken(row, column, "must be the name of a file in the folder of the table", file)
+        if name in names[:row]:
+            raise InputError(f"{table.places[row]}: file: {name} is in an earlier row already.")
+    return table
 
 
 def _some(names: Sequence[str]) -> str:
     """The first of the names, and how many more there are."""
     rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return ", ".join(names[:_SHOWN]) + rest
-
-
-def _interval(place: str, stated: str | None, default: float | None) -> float | None:
-    if not stated:
-        return default
-    try:
-        return float(stated)
-    except ValueError:
-        raise InputError(f"{place}: dt: must be a number, got {visible(stated)!r}.") from None

@@ -1,6 +1,7 @@
 """What a Python user passes, checked: tables, names, numbers and executors."""
 
 import io
+import math
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,8 +15,8 @@ from activefail.progress import Stage, silent
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.campaign.results_table import ResultTable, Table
-    from activefail.csv_table import Source, Target
+    from activefail.campaign.results_table import ResultTable
+    from activefail.csv_table import Source, Table, Target
     from activefail.execution.executor import AsynchronousExecutor
 
 
@@ -66,7 +67,7 @@ def table_of(table: Any) -> "Table":
     Raises:
         InputError: if it is something else, or breaks a rule of tables.
     """
-    from activefail.campaign.results_table import Table
+    from activefail.csv_table import Table
 
     is_file = isinstance(table, str | os.PathLike) or hasattr(table, "read")
     return Table.of_csv(source_of("table", table)) if is_file else Table.of_python(table)
@@ -84,10 +85,10 @@ def rows_named(results: "ResultTable") -> Iterator[None]:
     try:
         yield
     except RowError as error:
-        raise InputError(f"{results.table.places[results.rows[error.row]]}: {error}.") from None
+        raise InputError(f"{results.table.places[error.row]}: {error}.") from None
 
 
-def check_whole(name: str, number: SupportsIndex, least: int) -> None:
+def check_whole(name: str, number: SupportsIndex, least: int, most: float = math.inf) -> None:
     """Check an argument that is a whole number.
 
     Raises:
@@ -101,6 +102,8 @@ def check_whole(name: str, number: SupportsIndex, least: int) -> None:
         raise InputError(f"{name}: must be a whole number, got {number!r}.") from None
     if whole < least:
         raise InputError(f"{name}: must be at least {least}, got {whole}.")
+    if whole > most:
+        raise InputError(f"{name}: must be at most {most:g}, got {whole}.")
 
 
 def executor_named(

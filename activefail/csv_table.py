@@ -1,17 +1,16 @@
-"""Reads and writes CSV tables of designs in constant memory; the caller states the rules for a row."""
+"""Tables: one reader of CSV, whole or in constant memory, and of Python's tables; one writer of CSV."""
 
 import csv
-import io
 import math
 import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -43,178 +42,310 @@ class TextStream(Protocol):
 Target = Path | TextStream
 """Where a table goes: a file that gets its name once complete, or a stream that gets rows as they are computed."""
 
+
+class Kept(NamedTuple):
+    """A table that can be read again.
+
+    Attributes:
+        path: its file, or a temporary copy of the whole stream.
+        name: of the table in messages.
+    """
+
+    path: Path
+    name: str
+
+
 Check = Callable[[Array], str | None]
 """A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
 
 
-@dataclass(frozen=True)
-class DesignTable:
-    """A CSV table with a header and at least the named columns; other columns are kept.
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Rows of a user's table.
 
     Attributes:
-        source: its file, or a stream that can be read again.
+        name: how messages begin: its file, or nothing.
+        columns: their names.
+        rows: their cells, text or numbers.
+        places: how messages name each row.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    rows: list[list[Any]]
+    places: list[str]
+
+    @classmethod
+    def of_csv(cls, source: Source, most: int | None = None) -> "Table":
+        """The table in a CSV file or stream.
+
+        Args:
+            source: its file or stream.
+            most: most rows, if there is a limit.
+
+        Raises:
+            InputError: as `parts_of` does, or if there are more rows.
+        """
+        with rereadable(source) as kept:
+            parts = parts_of(kept, most)
+            table = next(parts)
+            if any(part.rows for part in parts):
+                raise InputError(f"{table.name}must have at most {most} rows.")
+        return table
+
+    @classmethod
+    def of_python(cls, table: Any) -> Self:
+        """A pandas DataFrame, a mapping of columns, a sequence of mappings, one for each row, or a single row.
+
+        Raises:
+            InputError: if it is something else.
+        """
+        import pandas as pd
+
+        rule = "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"
+        # To pandas, None is a table without rows.
+        is_table = isinstance(table, pd.DataFrame | pd.Series | Mapping | Sequence | np.ndarray)
+        if not is_table or isinstance(table, str | bytes):
+            raise InputError(f"{rule}, got {type(table).__name__}.")
+        if isinstance(table, pd.Series) or (
+            isinstance(table, Mapping) and not any(_is_column(value) for value in table.values())
+        ):
+            table = [table]
+        try:
+            frame = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
+        except (TypeError, ValueError, AttributeError) as error:  # the last where kinds of rows are mixed
+            raise InputError(f"{rule}: {error}.") from None
+        columns = _distinct("", map(str, frame.columns))
+        # By column: rows of a frame of mixed types would turn whole numbers into floats.
+        cells = [frame.iloc[:, column].tolist() for column in range(len(columns))]
+        rows = [list(row) for row in zip(*cells, strict=True)] if columns else []
+        return cls("", columns, rows, [f"row {row}" for row in range(len(rows))])
+
+    def require(self, names: Sequence[str]) -> None:
+        """Check that columns exist.
+
+        Raises:
+            InputError: naming the first that is missing.
+        """
+        for name in names:
+            if name not in self.columns:
+                raise InputError(
+                    f"{self.name}column {name!r}: required, but missing; the required columns are {','.join(names)}."
+                )
+
+    def only(self, rows: Sequence[int]) -> Self:
+        """The table of these rows."""
+        kept, places = [self.rows[row] for row in rows], [self.places[row] for row in rows]
+        return type(self)(self.name, self.columns, kept, places)
+
+    def cell(self, row: int, name: str) -> Any:
+        """A cell; None if it is empty or its column is missing."""
+        if name not in self.columns:
+            return None
+        value = self.rows[row][self.columns.index(name)]
+        if isinstance(value, str):
+            return value.strip() or None
+        return None if _is_missing(value) else value
+
+    def number(self, row: int, name: str) -> float:
+        """A cell as a number, infinity and NaN included; NaN if it is empty.
+
+        Raises:
+            InputError: if it is no number.
+        """
+        value = self.cell(row, name)
+        if value is None:
+            return math.nan
+        try:
+            number = _number_of(value)
+        except (TypeError, ValueError, ArithmeticError):
+            raise self.broken(row, name, "must be a number", value) from None
+        if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):
+            raise self.broken(row, name, "must fit a float64, at most 1.8e308 in size", value)
+        return number
+
+    def finite(self, row: int, name: str) -> float:
+        """A cell as a finite number.
+
+        Raises:
+            InputError: if it is not a finite number.
+        """
+        number = self.number(row, name)
+        if not math.isfinite(number):
+            raise self.broken(row, name, "must be a finite number", self.cell(row, name))
+        return number
+
+    def numbers(self, names: Sequence[str]) -> Array:
+        """The finite numbers in columns, (rows, names), such as the designs of a table.
+
+        Raises:
+            InputError: if a column is missing, or a cell is no finite number.
+        """
+        self.require(names)
+        columns = [self.columns.index(name) for name in names]
+        try:
+            X = np.array([[_number_of(cells[column]) for column in columns] for cells in self.rows], dtype=np.float64)
+        except (TypeError, ValueError, ArithmeticError):
+            X = np.array([math.nan])
+        if not np.isfinite(X).all():
+            for row in range(len(self.rows)):
+                for name in names:
+                    self.finite(row, name)
+        return X.reshape(len(self.rows), len(names))
+
+    def broken(self, row: int, column: str, rule: str, value: object) -> InputError:
+        """The error of a cell that breaks a rule; the value is None if the cell is empty."""
+        shown = "an empty cell" if value is None else repr(value)
+        return InputError(f"{self.places[row]}, column {column}: {rule}, got {shown}.")
+
+
+def _number_of(value: Any) -> float:
+    """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
+    if isinstance(value, bool | np.bool_):
+        raise ValueError
+    return float(value.replace("_", "?") if isinstance(value, str) else value)
+
+
+def _is_column(value: object) -> bool:
+    return (isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)) or hasattr(value, "to_numpy")
+
+
+def _is_missing(value: object) -> bool:
+    """Whether a cell is None, NaN or pandas' NA."""
+    try:
+        return value is None or bool(value != value)
+    except (TypeError, ValueError, ArithmeticError):  # pandas' NA has no truth value
+        return type(value).__name__ == "NAType"
+
+
+@dataclass(frozen=True)
+class DesignTable:
+    """A CSV table of designs that is read in constant memory, however long; other columns are kept.
+
+    Attributes:
+        source: where it can be read again.
         header: names of all columns.
         names: names of a design's columns, in order.
         rows: number of rows.
     """
 
-    source: Source
+    source: Kept
     header: tuple[str, ...]
     names: tuple[str, ...]
     rows: int
 
     @classmethod
-    def checked(cls, source: Source, names: Sequence[str], adds: Sequence[str], check: Check) -> "DesignTable":
+    def checked(cls, source: Kept, names: Sequence[str], adds: Sequence[str], check: Check) -> "DesignTable":
         """Read the whole table once and check each cell of the named columns.
 
         Args:
-            source: its file, or a stream that can be read again (see `rereadable`).
+            source: the table (see `rereadable`).
             names: names of a design's columns, in order.
             adds: output columns, which the table must not contain.
             check: a rule for each design, in addition to finite numbers.
 
         Raises:
-            InputError: naming the file, and row, column, rule and value of the first invalid cell.
+            InputError: naming the file, and row, column, rule and value of an invalid cell.
         """
-        path = name_of(source)
-        with _reading(source) as lines:
-            header = _header(path, next(lines, None), f" with the columns {', '.join(names)}")
-            missing = [name for name in names if name not in header]
-            if missing:
-                _check_commas(path, header)
-                raise InputError(
-                    f"{path}: column {missing[0]!r}: required, but missing; the required columns are {','.join(names)}."
-                )
+        rows = 0
+        for part in parts_of(source, ROWS_AT_ONCE):
+            X = part.numbers(names)
             for name in adds:
-                if name in header:
+                if name in part.columns:
                     raise InputError(
-                        f"{path}: column {name!r}: would be overwritten by the output; rename or remove it."
+                        f"{part.name}column {name!r}: would be overwritten by the output; rename or remove it."
                     )
-            columns = [header.index(name) for name in names]
-            rows = 0
-            for cells in filter(None, lines):  # blank lines are no rows
-                rows += 1
-                problem = _problem(cells, header, columns, check)
-                if problem is not None:
-                    raise InputError(f"{path}: row {rows} (line {lines.line_num}), {problem}.")
-        return cls(source, header, tuple(names), rows)
+            for place, design in zip(part.places, X, strict=True):
+                if problem := check(design):
+                    raise InputError(f"{place}, {problem}.")
+            rows += len(part.rows)
+        return cls(source, part.columns, tuple(names), rows)
 
     def chunks(self) -> Iterator[tuple[list[list[str]], Array]]:
         """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
-        columns = [self.header.index(name) for name in self.names]
-        with _reading(self.source) as lines:
-            next(lines, None)
-            texts: list[list[str]] = []
-            for cells in filter(None, lines):
-                texts.append(cells)
-                if len(texts) == ROWS_AT_ONCE:
-                    yield texts, _designs(texts, columns)
-                    texts = []
-            if texts:
-                yield texts, _designs(texts, columns)
+        for part in parts_of(self.source, ROWS_AT_ONCE):
+            if part.rows:
+                yield part.rows, part.numbers(self.names)
 
 
-def _designs(texts: list[list[str]], columns: list[int]) -> Array:
-    return np.array([[float(cells[column]) for column in columns] for cells in texts])
+def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
+    """The rows of a CSV table without blank lines, in parts of at most so many; the last part may have none.
+
+    Raises:
+        InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
+            or a row has another number of cells than the header.
+    """
+    (path, name), lines = source, None
+    rows: list[list[str]] = []
+    places: list[str] = []
+    try:
+        # utf-8-sig: spreadsheets write a byte order mark.
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.reader(file, strict=True)
+            columns = _header(name, next(lines, None))
+            for number, cells in enumerate(filter(None, lines), 1):
+                place = f"{name}: row {number} (line {lines.line_num})"
+                if len(cells) != len(columns):
+                    raise InputError(f"{place}: must have {len(columns)} cells, like the header, has {len(cells)}.")
+                rows.append(cells)
+                places.append(place)
+                if len(rows) == at_once:
+                    yield Table(f"{name}: ", columns, rows, places)
+                    rows, places = [], []
+            yield Table(f"{name}: ", columns, rows, places)
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror or error}.") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: must be UTF-8 text: {error.reason} at byte {error.start}.") from None
+    except csv.Error as error:
+        line = "" if lines is None else f" at line {lines.line_num}"
+        raise InputError(f"{name}: not valid CSV{line}: {error}.") from None
 
 
-def number_of(text: str) -> float:
-    """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
-    return float(text.replace("_", "?"))
+def _header(table: str, cells: list[str] | None) -> tuple[str, ...]:
+    """The names of a table's columns.
+
+    Raises:
+        InputError: if there are none, two of one name, or another separator than the comma.
+    """
+    if cells is None:
+        raise InputError(f"{table}: is empty; a header is required.")
+    for separator in (";", "\t"):
+        if len(cells) == 1 and separator in cells[0]:
+            raise InputError(f"{table}: columns must be separated by commas, not by {separator!r}.")
+    return _distinct(f"{table}: ", (name.strip() for name in cells))
 
 
-def _problem(cells: list[str], header: Sequence[str], columns: list[int], check: Check) -> str | None:
-    if len(cells) != len(header):
-        return f"must have {len(header)} cells, like the header, has {len(cells)}"
-    design = np.empty(len(columns))
-    for index, column in enumerate(columns):
-        text = cells[column].strip()
-        try:
-            design[index] = number_of(text)
-        except ValueError:
-            return f"column {header[column]}: must be a number, got {text!r}"
-        if not math.isfinite(design[index]):
-            return f"column {header[column]}: must be finite, got {text!r}"
-    return check(design)
+def _distinct(place: str, names: Iterator[str]) -> tuple[str, ...]:
+    columns = tuple(names)
+    for name in columns:
+        if columns.count(name) > 1:
+            raise InputError(f"{place}column {name!r}: must occur only once, occurs {columns.count(name)} times.")
+    return columns
 
 
 @contextmanager
-def rereadable(source: Source) -> Iterator[Source]:
-    """A source that can be read twice: the file itself, or a temporary copy of the whole stream.
+def rereadable(source: Source) -> Iterator[Kept]:
+    """A table that can be read twice: first to check it, then to use it.
 
     Raises:
-        InputError: if the stream cannot be read or copied.
+        InputError: if the file is a pipe or a device, or the stream cannot be read or copied.
     """
     if isinstance(source, Path):
-        yield source
+        if source.exists() and not (source.is_file() or source.is_dir()):
+            raise InputError(f"{source}: must be a regular file, because it is read twice.")
+        yield Kept(source, str(source))
         return
-    with tempfile.TemporaryFile(buffering=0) as file, _Copy(file, name_of(source)) as copy:
+    named = "standard input" if source is getattr(sys.stdin, "buffer", None) else getattr(source, "name", None)
+    name = named if isinstance(named, str) else "the table"  # the number of a pipe says nothing
+    with tempfile.NamedTemporaryFile() as copy:
         try:
             shutil.copyfileobj(source, copy)
             copy.flush()
         except OSError as error:
             folder = tempfile.gettempdir()
-            raise InputError(f"{name_of(source)}: cannot be copied to {folder}: {error.strerror or error}.") from None
-        yield copy
-
-
-class _Copy(io.BufferedRandom):
-    """A temporary copy of a stream.
-
-    Attributes:
-        title: the name of the stream in messages.
-    """
-
-    def __init__(self, file: io.FileIO, title: str) -> None:
-        super().__init__(file)
-        self.title = title
-
-
-def name_of(source: Source) -> str:
-    """A table's source in messages."""
-    if isinstance(source, Path):
-        return str(source)
-    if isinstance(source, _Copy):
-        return source.title
-    if source is getattr(sys.stdin, "buffer", None):
-        return "standard input"
-    name = getattr(source, "name", None)  # the number of a pipe says nothing
-    return name if isinstance(name, str) else "the table"
-
-
-@contextmanager
-def _opened(source: Source) -> Iterator[IO[str]]:
-    # utf-8-sig: spreadsheets write a byte order mark.
-    if isinstance(source, Path):
-        if source.exists() and not (source.is_file() or source.is_dir()):
-            raise InputError(
-                f"{source}: must be a regular file, because it is read twice: first to check it, then to use it."
-            )
-        with source.open(encoding="utf-8-sig", newline="") as file:
-            yield file
-        return
-    source.seek(0)
-    text = io.TextIOWrapper(source, encoding="utf-8-sig", newline="")
-    try:
-        yield text
-    finally:
-        text.detach()  # keeps the stream open
-
-
-@contextmanager
-def _reading(source: Source) -> Iterator[Any]:
-    path, lines = name_of(source), None
-    try:
-        with _opened(source) as file:
-            lines = csv.reader(file, strict=True)
-            yield lines
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: must be UTF-8 text: {error.reason} at byte {error.start}.") from None
-    except csv.Error as error:
-        place = f" at line {lines.line_num}" if lines is not None else ""
-        raise InputError(f"{path}: not valid CSV{place}: {error}.") from None
+            raise InputError(f"{name}: cannot be copied to {folder}: {error.strerror or error}.") from None
+        yield Kept(Path(copy.name), name)
 
 
 @contextmanager
@@ -255,28 +386,6 @@ def _appending(file: TextStream, then: Callable[[], None] = lambda: None) -> Cal
     return append
 
 
-def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[int]]:
-    """The header of a CSV file, its rows as text without blank lines, and the line at which each row ends.
-
-    Raises:
-        InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
-            or a row has another number of cells than the header.
-    """
-    rows: list[list[str]] = []
-    ends: list[int] = []
-    path = name_of(source)
-    with _reading(source) as lines:
-        header = _header(path, next(lines, None), "")
-        _check_commas(path, header)
-        for cells in filter(None, lines):
-            if len(cells) != len(header):
-                place = f"{path}: row {len(rows) + 1} (line {lines.line_num})"
-                raise InputError(f"{place}: must have {len(header)} cells, like the header, has {len(cells)}.")
-            rows.append(cells)
-            ends.append(lines.line_num)
-    return header, rows, ends
-
-
 def likely_header(path: Path) -> list[str]:
     """The names of the columns of a file that need not be a valid table, whatever separates them.
 
@@ -290,29 +399,3 @@ def likely_header(path: Path) -> list[str]:
             return [name.strip(' "\n') for name in re.split("[,;\t]", line)]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
-
-
-def _check_commas(path: str, header: Sequence[str]) -> None:
-    """Check that a header is not one column because of another separator.
-
-    Raises:
-        InputError: naming the separator.
-    """
-    for separator in (";", "\t"):
-        if len(header) == 1 and separator in header[0]:
-            raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
-
-
-def _header(path: object, cells: list[str] | None, required: str) -> tuple[str, ...]:
-    """The names of a table's columns.
-
-    Raises:
-        InputError: if there are none, or two of one name.
-    """
-    if cells is None:
-        raise InputError(f"{path}: is empty; a header{required} is required.")
-    header = tuple(name.strip() for name in cells)
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(f"{path}: column {name!r}: must occur only once, occurs {header.count(name)} times.")
-    return header

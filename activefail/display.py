@@ -2,12 +2,15 @@
 
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from activefail.interrupts import stop_on_signals
 from activefail.screen import terminal
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from activefail.execution.executor import CountingExecutor, Executor
     from activefail.loop.probability_rule import Looks
     from activefail.loop.progress import Observer, Progress
+    from activefail.record.run_folder import FolderStore
+    from activefail.surrogate.classifier import Classifier
 
 
 _log = logging.getLogger("activefail")
@@ -132,6 +137,21 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
         below.plain = line
 
 
+@contextmanager
+def display_with_stop(campaign: "Campaign", requested: str) -> Iterator["Observer"]:
+    """A display that also lets Ctrl-C stop the campaign after a batch.
+
+    Args:
+        campaign: the campaign.
+        requested: is shown once a stop is requested.
+    """
+    # Only the main thread can handle signals.
+    handles = threading.current_thread() is threading.main_thread()
+    signals = stop_on_signals(requested) if handles else nullcontext(lambda: False)
+    with signals as stop, campaign_display(campaign, stop) as observer:
+        yield observer
+
+
 def _is_notebook() -> bool:
     """Whether a notebook's kernel runs this process."""
     # Without it, no notebook runs; it need not be installed.
@@ -161,6 +181,39 @@ def _notebook_observer(campaign: "Campaign", stop: Callable[[], bool]) -> "Obser
         shown.update(page(""))
 
     return Observer(update, lambda stage: shown.update(page(stage)), stop)
+
+
+def html_of(folder: Path, campaign: "Campaign", store: "FolderStore", classifier: Callable[[], "Classifier"]) -> str:
+    """The state of a run folder as a table of HTML, with the classifier's error if it was verified."""
+    from activefail.findings.status import read_status
+
+    status, verified = read_status(folder), _verified(campaign, store, classifier)
+    lines = [*status.lines, ("error", verified), ("warning", status.summary.unseen_warning), *status.continuation]
+    rows = "".join(
+        f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
+    )
+    return f"<table><caption>{escape(visible(str(folder)))}</caption>{rows}</table>"
+
+
+_CONFIDENCE = 0.9
+"""Of the interval of a verified error that a notebook shows."""
+
+
+def _verified(campaign: "Campaign", store: "FolderStore", classifier: Callable[[], "Classifier"]) -> str:
+    """The classifier's error in words, if it was verified after the last batch; otherwise nothing is learned."""
+    from activefail.loop.history import History
+    from activefail.surrogate.threads import one_thread
+    from activefail.verification.error import verified
+    from activefail.verification.stored_sets import verified_sizes
+
+    iteration = History.of(store.batches).last_iteration
+    if not verified_sizes(store, iteration):
+        return ""
+    with one_thread():
+        error = verified(campaign, store, classifier(), iteration, _CONFIDENCE)
+    if error is None:
+        return ""
+    return f"{error.text} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
 
 
 def seeking_line(campaign: "Campaign") -> str:

@@ -9,9 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from activefail.visible import visible
+
 
 class ActivefailError(Exception):
-    """Base class of activefail's errors; the text is for the user."""
+    """Base class of activefail's errors; the text is for the user, with a stranger's control characters escaped."""
+
+    def __str__(self) -> str:
+        return visible(super().__str__(), keep="\n")
 
 
 class InputError(ActivefailError, ValueError):

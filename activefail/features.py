@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,6 @@ from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import parse_expression
 from activefail.names import FeatureSet
 from activefail.space import Array, DesignSpace
-from activefail.visible import visible
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""
@@ -102,12 +101,12 @@ class FeatureMap:
             bad = np.flatnonzero(~np.isfinite(F[:, column]))
             if len(bad):
                 raise InputError(
-                    f"classifier.features: {visible(name)} must be finite over the space, got {F[bad[0], column]} "
+                    f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
                     f"for {dict(zip(self.space.names, X[bad[0]].tolist(), strict=True))}."
                 )
             if np.ptp(F[:, column]) == 0.0:
                 raise InputError(
-                    f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
+                    f"classifier.features: {name} must vary over the space, got {F[0, column]} everywhere."
                 )
         with np.errstate(all="ignore"):  # reported below
             center, spread = F.mean(axis=0), F.std(axis=0)
@@ -116,7 +115,7 @@ class FeatureMap:
             # Squares of tiny differences underflow, and those of huge ones overflow.
             if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
                 raise InputError(
-                    f"classifier.features: {visible(name)} must have a standard deviation over the space that fits a "
+                    f"classifier.features: {name} must have a standard deviation over the space that fits a "
                     f"float64, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
                 )
         return center, spread
@@ -148,9 +147,8 @@ class CustomFeatures:
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a cancelled task and a panic of Rust code are no Exception
-            raise InputError(
-                visible(f"classifier.features: {self.name} raised {description_of(error)}{place_of(error)}.")
-            ) from error
+            raised = f"{description_of(error)}{place_of(error)}"
+            raise InputError(f"classifier.features: {self.name} raised {raised}.") from error
         try:
             F = np.asarray(returned, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -295,9 +293,18 @@ def _decorrelated(space: DesignSpace) -> FeatureMap:
 
 def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:
     """The variables and features of the physics, a function of designs in Table 1's order and units."""
+    return _joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space)
+
+
+def _joined(
+    names: tuple[str, ...], further: Callable[[Array], Array], space: DesignSpace, variables: bool = True
+) -> FeatureMap:
+    """Further features of designs, (n, d) -> (n, m), after the variables unless these are left out."""
+    if not variables:
+        return _scaled(names, further, space)
 
     def raw(X: Array) -> Array:
-        return np.column_stack([X, _on_all_cores(physics, space.table(X, TABLE_1.names))])
+        return np.column_stack([X, further(X)])
 
     return _scaled((*space.names, *names), raw, space, _logarithms(space))
 
@@ -305,21 +312,17 @@ def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], spa
 def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
     width = custom(space.sobol(8, np.random.default_rng(0)), space).shape[1]
 
-    def raw(X: Array) -> Array:
-        X = np.asarray(X, dtype=np.float64)
-        F = custom(X, space)
+    def checked(X: Array) -> Array:
+        F = custom(np.asarray(X, dtype=np.float64), space)
         if F.shape[1] != width:
             raise InputError(
                 f"classifier.features: {custom.name} must always return the same number of features; got {width}, then "
                 f"{F.shape[1]}."
             )
-        return np.column_stack([X, F]) if custom.variables else F
+        return F
 
     names = tuple(f"{custom.name}[{column}]" for column in range(width))
-    if custom.variables:
-        scaled = _scaled((*space.names, *names), raw, space, _logarithms(space))
-    else:
-        scaled = _scaled(names, raw, space)
+    scaled = _joined(names, checked, space, custom.variables)
     # A function that normalises over its rows would give one design different features.
     X = space.sobol(64, np.random.default_rng(1))
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
@@ -335,26 +338,25 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
     expressions = []
     for name, text in features.expressions.items():
         if name in space.names:
-            raise InputError(f"classifier.features.expressions.{visible(name)}: must not have the name of a variable.")
+            raise InputError(f"classifier.features.expressions.{name}: must not have the name of a variable.")
         try:
             expressions.append(parse_expression(text, known))
         except ValueError as error:
-            raise InputError(visible(f"classifier.features.expressions.{name}: {error}.")) from None
+            raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
+
+    def values(variables: Sequence[Any]) -> list[Any]:
+        quantities = dict(zip(known, space.pick(variables, known), strict=True))
+        return [expression(quantities) for expression in expressions]
+
+    def further(X: Array) -> Array:
+        X = np.asarray(X, dtype=np.float64)
+        with np.errstate(all="ignore"):  # `scaling` reports values that are not finite
+            return np.column_stack([np.broadcast_to(column, len(X)) for column in values(list(X.T))])
 
     def formula(variables: Sequence[Any]) -> list[Any]:
-        quantities = dict(zip(known, space.pick(variables, known), strict=True))
-        values = [expression(quantities) for expression in expressions]
-        return [*variables, *values] if features.variables else values
+        return [*variables, *values(variables)] if features.variables else values(variables)
 
-    def raw(X: Array) -> Array:
-        X = np.asarray(X, dtype=np.float64)
-        with np.errstate(all="ignore"):  # `_scaled` reports values that are not finite
-            return np.column_stack([np.broadcast_to(column, len(X)) for column in formula(list(X.T))])
-
-    names = tuple(features.expressions)
-    if features.variables:
-        return _scaled((*space.names, *names), raw, space, _logarithms(space), formula)
-    return _scaled(names, raw, space, formula=formula)
+    return replace(_joined(tuple(features.expressions), further, space, features.variables), formula=formula)
 
 
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:

@@ -1,9 +1,8 @@
-"""Durable writes: a new file gets its name only once it is complete and on the disk. Reads of regular files alone."""
+"""Durable writes: a new file gets its name only once it is complete and on the disk."""
 
 import errno
 import os
 import secrets
-import stat
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -105,51 +104,6 @@ def target_of(path: Path) -> Path:
     return path
 
 
-def read_regular(path: Path, most: int, follow: bool = False, private: bool = False) -> bytes:
-    """The content of a regular file; pipes and devices, which may never end, are refused.
-
-    Args:
-        path: path of the file.
-        most: most bytes; a larger file is not read.
-        follow: whether to follow a symbolic link.
-        private: whether to refuse a file that another user owns or may write.
-
-    Raises:
-        OSError: if the file cannot be read.
-        ValueError: if it is not a regular file, too large or not private; the text completes "<file> ...".
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError("is not a regular file")
-        if private and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
-            raise ValueError("is not a file that only this user may write")
-        with open(descriptor, "rb", closefd=False) as file:
-            # One byte more than allowed: the file may grow meanwhile.
-            data = b"" if status.st_size > most else file.read(min(most, max(status.st_size, 1 << 20)) + 1)
-    finally:
-        os.close(descriptor)
-    if status.st_size > most or len(data) > most:
-        raise ValueError(f"is larger than {most} bytes")
-    return data
-
-
-MOST_DOTS = 200
-"""Most dots in a line of TOML: the time to parse a dotted key grows with the square of their number."""
-
-
-def check_dots(text: str) -> None:
-    """Check that no line of TOML has so many dots that parsing takes long.
-
-    Raises:
-        ValueError: naming the first such line.
-    """
-    for number, line in enumerate(text.split("\n"), start=1):
-        if line.count(".") > MOST_DOTS:
-            raise ValueError(f"line {number}: must have at most {MOST_DOTS} dots, has {line.count('.')}")
-
-
 def end_of(path: Path, most: int) -> bytes:
     """The last bytes of a file, at most `most`.
 
@@ -174,8 +128,17 @@ def replace(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -
         SyncError: if fsync failed.
         StoreError: if the file cannot be written; the older one remains.
     """
-    temporary = _write_temporary(path, data)
+    temporary = temporary_next_to(path)
     try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            write_all(descriptor, data)
+            sync_file(descriptor, path)
+            size = os.fstat(descriptor).st_size
+        finally:
+            os.close(descriptor)
+        if size != len(data):
+            raise StoreError(f"Cannot write {path}: {size} bytes are on the disk, {len(data)} were written.")
         check()
         os.replace(temporary, path)
     except (OSError, StoreError) as error:
@@ -228,28 +191,6 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
     except OSError as error:
         raise SyncError(_unsynced(folder, error)) from error
-
-
-def _write_temporary(path: Path, data: bytes) -> Path:
-    """Write and fsync `data` under a temporary name in the folder of `path`; removed if that fails."""
-    temporary = temporary_next_to(path)
-    try:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        try:
-            write_all(descriptor, data)
-            sync_file(descriptor, path)
-            size = os.fstat(descriptor).st_size
-        finally:
-            os.close(descriptor)
-        if size != len(data):
-            raise StoreError(f"Cannot write {path}: {size} bytes are on the disk, {len(data)} were written.")
-    except (OSError, StoreError) as error:
-        with suppress(OSError):
-            os.unlink(temporary)
-        if isinstance(error, OSError):
-            raise StoreError(refused(path, error)) from error
-        raise
-    return temporary
 
 
 def write_all(descriptor: int, data: bytes) -> None:

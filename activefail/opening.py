@@ -40,15 +40,8 @@ def create_run(
         InputError: if the settings are invalid, or the folder is in use.
         BusyError, StoreError: if the folder cannot be written.
     """
-    folder, code = path_of("folder", folder), None if code is None else path_of("code", code)
-    if isinstance(campaign, Mapping):
-        settings = checked(CampaignSettings, dict(campaign), "settings")
-        campaign = Campaign.of(settings, code, folder)
-        check_unused(folder, campaign)
-    elif isinstance(campaign, Campaign):
-        check_unused(folder, campaign)
-    else:
-        campaign = campaign_for(folder, path_of("campaign", campaign), code=code)
+    folder = path_of("folder", folder)
+    campaign = campaign_for(folder, campaign, code=None if code is None else path_of("code", code))
     store = create_folder(folder, campaign)
     if remember:
         remember_code(folder, campaign)
@@ -56,34 +49,31 @@ def create_run(
 
 
 def campaign_for(
-    folder: Path, file: Path, seed: int | None = None, budget: int | None = None, code: Path | None = None
+    folder: Path,
+    campaign: Campaign | AnyPath | Mapping[str, Any],
+    seed: int | None = None,
+    budget: int | None = None,
+    code: Path | None = None,
 ) -> Campaign:
-    """The campaign of a file, for a run folder that does not exist yet.
+    """The campaign for a run folder that does not exist yet.
 
     Args:
         folder: the run folder.
-        file: the campaign file, or the name of a shipped campaign.
-        seed, budget: replace those of the file.
-        code: folder of the user's code; that of the file if None.
+        campaign, code: as for `create_run`.
+        seed, budget: replace those of a campaign file.
 
     Raises:
-        InputError: if the file is invalid, or the folder already holds a campaign.
+        InputError: if the settings are invalid, or the folder already holds a campaign.
     """
-    file = campaign_file(file)
-    campaign = read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
-    check_unused(folder, campaign)
-    return campaign
-
-
-def check_unused(folder: Path, campaign: Campaign) -> None:
-    """Check that a folder holds no campaign.
-
-    Raises:
-        InputError: if it does, with the command that continues it.
-    """
+    if isinstance(campaign, Mapping):
+        campaign = Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code, folder)
+    elif not isinstance(campaign, Campaign):
+        file = campaign_file(path_of("campaign", campaign))
+        campaign = read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
     if (folder / SETTINGS).exists():
         how = how_to_continue(folder, campaign)
         raise InputError(f"{folder}: already holds a campaign; {how}. In Python, `open_run` opens it.")
+    return campaign
 
 
 def open_run(

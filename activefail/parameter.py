@@ -108,14 +108,18 @@ class Parameter:
         if fault:
             raise InputError(f"The variable {self.name!r}: {fault}.")
 
-    def _masses(self) -> tuple[float, float, float]:
+    @property
+    def _moments(self) -> tuple[float, float]:
+        """Mean and standard deviation of a distribution that has them."""
         assert self.mean is not None
-        return _masses(self.distribution, self.low, self.high, self.mean, self.sd)
+        return self.mean, self.mean if self.sd is None else self.sd
+
+    def _masses(self) -> tuple[float, float, float]:
+        return _masses(self.distribution, self.low, self.high, *self._moments)
 
     @property
     def _law(self) -> "rv_frozen":
-        assert self.mean is not None
-        return frozen(self.distribution, self.low, self.high, self.mean, self.mean if self.sd is None else self.sd)
+        return frozen(self.distribution, self.low, self.high, *self._moments)
 
     @property
     def outside(self) -> float:
@@ -138,10 +142,8 @@ class Parameter:
             case "log_uniform":
                 return self.low * (self.high / self.low) ** u
             case "truncated_normal":
-                assert self.mean is not None
-                assert self.sd is not None
-                below, mass, _ = self._masses()
-                return self.mean + self.sd * ndtri(below + u * mass)
+                (mean, sd), (below, mass, _) = self._moments, self._masses()
+                return mean + sd * ndtri(below + u * mass)
             case _:
                 return self._between(u, 1.0 - u)
 
@@ -155,10 +157,8 @@ class Parameter:
             case "truncated_normal":
                 from scipy.special import ndtr
 
-                assert self.mean is not None
-                assert self.sd is not None
-                below, mass, _ = self._masses()
-                return np.asarray((ndtr((x - self.mean) / self.sd) - below) / mass)
+                (mean, sd), (below, mass, _) = self._moments, self._masses()
+                return np.asarray((ndtr((x - mean) / sd) - below) / mass)
             case _:
                 below, mass, _ = self._masses()
                 return np.asarray((self._law.cdf(x) - below) / mass)
@@ -212,9 +212,8 @@ class Parameter:
         and a variable whose bounds are left out as its standard normal value.
         """
         if self.distribution in ("truncated_normal", "normal"):
-            assert self.mean is not None
-            assert self.sd is not None
-            return np.asarray((x - self.mean) / self.sd)
+            mean, sd = self._moments
+            return np.asarray((x - mean) / sd)
         if self.distribution in BOUNDED:
             return np.asarray(np.sqrt(12.0) * (self.share(x) - 0.5))
         return _normal_quantile(self._law.cdf(x), self._law.sf(x))
@@ -229,8 +228,8 @@ class Parameter:
             factor: factor of the standard deviation.
         """
         if self.distribution in ("truncated_normal", "normal"):
-            assert self.mean is not None
-            return np.asarray(np.clip(self.mean + factor * (x - self.mean), self.low, self.high))
+            mean, _ = self._moments
+            return np.asarray(np.clip(mean + factor * (x - mean), self.low, self.high))
         if self.distribution in BOUNDED:
             return np.asarray(x)
         from scipy.special import ndtr

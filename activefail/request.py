@@ -4,6 +4,7 @@ The command line (`cli/analyses.py`), the methods of `Run` and the reference pag
 """
 
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from importlib import import_module
@@ -167,14 +168,15 @@ def _check(name: str, value: Any, declared: Option) -> None:
         raise InputError(f"{name}: must be {' or '.join(words)}, got {value!r}.")
     if value is None or declared.kind not in (int, float):
         return
+    low, high = declared.low, declared.high
     if declared.kind is int:
-        check_whole(name, value, int(declared.low or 0))
+        check_whole(name, value, int(low or 0), math.inf if high is None else high)
     elif isinstance(value, bool) or not isinstance(value, float | int):
         raise InputError(f"{name}: must be a number, got {value!r}.")
-    if declared.low is not None and not value >= declared.low:
-        raise InputError(f"{name}: must be at least {declared.low:g}, got {value}.")
-    if declared.high is not None and not value <= declared.high:
-        raise InputError(f"{name}: must be at most {declared.high:g}, got {value}.")
+    elif low is not None and not value >= low:
+        raise InputError(f"{name}: must be at least {low:g}, got {value}.")
+    elif high is not None and not value <= high:
+        raise InputError(f"{name}: must be at most {high:g}, got {value}.")
 
 
 def method_of(name: str, request: Callable[P, Request[F]]) -> "Callable[Concatenate[Run, P], F]":

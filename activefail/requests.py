@@ -14,7 +14,6 @@ from activefail.progress import Stage, silent
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.request import REQUIRED, Option, Request, declared, function_of, option
 from activefail.surrogate.threads import one_thread
-from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.accelerogram_sets import RecordSet
@@ -159,6 +158,7 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
     def answer(self, run: "Run") -> "ProbabilityFindings":
         from activefail.campaign.inquiry import Inquiry
         from activefail.findings.probability import ProbabilityFindings
+        from activefail.findings.status import estimate_of
 
         outcome = run._boundary_named(self.outcome)
         asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed).question
@@ -167,8 +167,8 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
             findings = ProbabilityFindings.of(
                 run.campaign, run.history, estimator.classifier, outcome, sample.estimate(self.confidence), asked
             )
-        if self.hazard is None and self.question is None and self.fixed is None:
-            run._save_estimate(findings)
+        if run.writes and self.hazard is None and self.question is None and self.fixed is None:
+            run.store.remember(estimate_of(outcome, run.store.digest), findings.numbers)
         return findings
 
 
@@ -269,6 +269,7 @@ class DesignRequest(Request["DesignFindings"]):
         from activefail.risk.design.calculation import search_design
         from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
         from activefail.risk.design.risk_target import at_risk
+        from activefail.risk.design.stored import remember_design
 
         campaign, names = run.campaign, names_of("free", self.free)
         requirements = read_targets(str(self.target), campaign.simulator.outcomes, run.boundary)
@@ -280,7 +281,8 @@ class DesignRequest(Request["DesignFindings"]):
         task = design_task(asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
         with estimating(run, self.executor, self.stage) as estimator:
             findings = search_design(estimator, task, self.chart, self.stage)
-        run._save_design(findings)
+        if run.writes:
+            remember_design(run.store, findings.designed)
         return findings
 
     def write_pages(self, findings: "DesignFindings", run: "Run", out: Path) -> list[Path]:
@@ -430,12 +432,12 @@ class IdaRequest(Request["IdaFindings"]):
             )
         intensity = Intensity.of(self.scale_to) if isinstance(self.scale_to, str) else self.scale_to
         if self.simulator is not None and intensity.kind != "pgv":
-            raise InputError(f"--scale-to: must be pgv with --simulator, got {visible(str(self.scale_to))!r}.")
+            raise InputError(f"--scale-to: must be pgv with --simulator, got {str(self.scale_to)!r}.")
         folder = None if self.folder is None else path_of("folder", self.folder)
         records = self.records
         if not isinstance(records, RecordSet):
             if folder is not None and folder.resolve() == Path(records).resolve():
-                raise InputError(f"--out: must differ from --records, got {visible(str(folder))}.")
+                raise InputError(f"--out: must differ from --records, got {folder}.")
             records = read_record_set(records, self.unit, self.dt, self.vertical)
         about = (intensity, self.outcome, self.to, self.margin, self.pulses, run, folder, self.begin)
         try:
@@ -527,7 +529,7 @@ class CompareRequest(Request["ComparisonFindings"]):
         figure = plot_learning_curves(scores, run.boundary, scores[0].test_designs)
         with writing_to(results):
             results.mkdir(exist_ok=True)
-            write_scores(scores, run.campaign.simulator.outcomes, self.test_designs, results / SCORES)
+            write_scores(scores, self.test_designs, results / SCORES)
             save_png_and_svg(figure, results, CURVES)
         remember_scores(run.store, scores, self.test_designs)
         return ComparisonFindings(scores, run.boundary, results)

@@ -1,31 +1,24 @@
 """`Run`: a run folder, open; the commands on run folders are its methods."""
 
 import threading
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
-from html import escape
-from operator import index
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-import numpy as np
-
+from activefail import exchange
 from activefail.arguments import (
     check_whole,
-    rows_named,
     source_of,
-    table_of,
     target_of,
 )
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.campaign.inquiry import Inquiry
-from activefail.display import campaign_display, shown_executor
-from activefail.errors import InputError, StoreError
+from activefail.display import display_with_stop, html_of, shown_executor
+from activefail.errors import InputError
 from activefail.files import path_of
 from activefail.findings.summary import Summary
-from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
@@ -40,37 +33,24 @@ from activefail.requests import (
     VerifyRequest,
 )
 from activefail.surrogate.threads import one_thread, one_thread_of_blas
-from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from pandas import DataFrame
 
     from activefail.campaign.question import Question
-    from activefail.campaign.results_table import ResultTable, Table
     from activefail.campaign.settings import CampaignSettings
     from activefail.csv_table import Source, Target
     from activefail.execution.executor import AsynchronousExecutor, CountingExecutor
     from activefail.features import FeatureMap
     from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
-    from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
     from activefail.loop.in_flight import HandedOut
     from activefail.loop.learning import Learned
     from activefail.record.run_folder import FolderStore
-    from activefail.risk.design.findings import DesignFindings
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.surrogate.saved import SavedClassifier
-
-
-_LARGEST_ID = 2**53
-"""Largest id; none is that large."""
-
-_CONFIDENCE = 0.9
-"""Of the interval of a verified error that a notebook shows."""
 
 
 class Taken(NamedTuple):
@@ -103,11 +83,11 @@ class Run:
     Attributes:
         campaign: the components of the campaign.
         store: the record.
+        writes: whether it is open for writing.
     """
 
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
-        self._named, self.campaign, self.store = folder, campaign, store
-        self._write = write
+        self._named, self.campaign, self.store, self.writes = folder, campaign, store, write
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
@@ -148,7 +128,7 @@ class Run:
 
     def summary_after(self, simulations: int) -> Summary:
         """The state of the campaign after its first simulations, in counts."""
-        return self._summary_of(self._first(simulations))
+        return self._summary_of(first_simulations(self.history, simulations))
 
     def _summary_of(self, history: History) -> Summary:
         return Summary.of(self.settings, self.campaign.schema, history, self.store.asked)
@@ -167,14 +147,10 @@ class Run:
             budget, failure_limit, ignore_stop, executor_options: as for `take`.
             changes_code: whether the user changes the custom code before; the command must then name its folder.
         """
-        command = resume_command(self.folder, self.campaign, changes_code) + executor_options
-        if ignore_stop:
-            command += " --ignore-stop"
-        if budget is not None:
-            command += f" --budget {budget}"
-        if failure_limit is not None:
-            command += f" --numerical-failures {failure_limit:g}"
-        return command
+        options = executor_options + " --ignore-stop" * ignore_stop
+        options += "" if budget is None else f" --budget {budget}"
+        options += "" if failure_limit is None else f" --numerical-failures {failure_limit:g}"
+        return resume_command(self.folder, self.campaign, changes_code) + options
 
     @property
     def learns_from_margins(self) -> bool:
@@ -256,172 +232,11 @@ class Run:
         """The map from designs, (n, d) in the variables' units, to the scaled features, (n, m), of the classifier."""
         return self.campaign.features
 
-    # ------------------------------------------------------------------------------------------- elsewhere
-
-    def ask(self, n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
-        """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
-
-        None of them is handed out again, not even after a crash; `in_flight` lists them. The proposals are those of
-        `take`: the initial design first, then what the criterion chooses, given the designs in flight.
-
-        Args:
-            n: number of designs.
-            beyond: whether to hand out designs beyond the budget.
-            ignore_stop: whether to hand out designs even if the stop rule is met.
-
-        Returns:
-            The columns of `in_flight`. If there are not n, `attrs["reason"]` says why; otherwise it is empty.
-
-        Raises:
-            InputError: if n is no whole number or below 1.
-            StoreError: if the run is not open for writing, or the designs cannot be recorded.
-
-        Example:
-            >>> while len(designs := run.ask(8)):
-            ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
-        """
-        from activefail.findings.dataframes import designs_frame
-        from activefail.loop.asking import ask
-
-        check_whole("n", n, 1)
-        with self._turn, one_thread():
-            budget = None if beyond else self.settings.sampling.budget
-            proposed = ask(self.campaign, self.store, n, budget, ignore_stop, self._learned)
-            self._learned = proposed.learned or self._learned
-        frame = designs_frame(self.campaign, proposed.designs)
-        frame.attrs["reason"] = proposed.reason
-        return frame
-
-    def tell(self, table: Any, *, correct: bool = False) -> int:
-        """Record results of designs in flight, or correct recorded ones; they are durable once this returns.
-
-        A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded. A correction
-        replaces the result of a simulation, whether it was told, added or simulated by the loop; `corrections` keeps
-        the former one. The classifier learns again as if it had got the right result at first.
-
-        Args:
-            table: a DataFrame, a dictionary of columns, a list of dictionaries, one row as a dictionary or a Series,
-                or a CSV file (its path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's
-                margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
-                have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
-                has levels, the outcome may be left out. Other columns are ignored, as are rows without outcome and
-                margins.
-            correct: whether the table corrects recorded results; it must then hold no others.
-
-        Returns:
-            Number of new, or corrected, results.
-
-        Raises:
-            InputError: naming row, column, rule and value.
-            StoreError: if the run is not open for writing, or the results cannot be recorded.
-        """
-        from activefail.loop import telling
-
-        checked = table_of(table)
-        if not checked.rows:
-            return 0
-        with self._turn:
-            result_table, handed_out = self._told(checked)
-            former = (self.campaign, result_table.ids, result_table.results, handed_out)
-            warn = self._warner(result_table, telling.lost_margins(*former) if correct else ())
-            with rows_named(result_table):
-                record = telling.correct if correct else telling.tell
-                new = record(self.campaign, self.store, result_table.ids, result_table.results, warn)
-            self._predicts = None
-            if correct:
-                # It learned from the former results.
-                self._learned = None
-        return new
-
-    def is_told(self, table: Any) -> bool:
-        """Whether a table holds no result that `tell` would record.
-
-        Args:
-            table: as for `tell`.
-
-        Raises:
-            InputError: as `tell` does.
-        """
-        from activefail.loop.telling import new_results
-
-        result_table, handed_out = self._told(table_of(table))
-        with rows_named(result_table):
-            return not new_results(self.campaign, result_table.ids, result_table.results, handed_out)
-
-    def _told(self, table: "Table") -> "tuple[ResultTable, HandedOut]":
-        """The results in a table, with designs as they were handed out, and the designs of the record."""
-        from activefail.campaign.results_table import ResultTable
-
-        result_table, handed_out = ResultTable.told(self.campaign, table), self.handed_out
-        ids = np.concatenate([handed_out.asked.id, handed_out.history.id])
-        designs = handed_out.history.designs.reshape(-1, self.space.dimension)
-        result_table.check_handed_out(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
-        return result_table, handed_out
-
-    def drop(self, ids: Iterable[int] | int) -> int:
-        """Give up designs in flight: they get no result and are not proposed again.
-
-        Args:
-            ids: of the designs.
-
-        Returns:
-            Number of designs that were in flight; one that was dropped before is not counted.
-
-        Raises:
-            InputError: if an id is unknown or has a result; nothing is dropped then.
-            StoreError: if the run is not open for writing, or this cannot be recorded.
-        """
-        from activefail.loop.telling import drop
-
-        if isinstance(ids, Iterable) and not isinstance(ids, str | bytes | np.ndarray):
-            ids = list(ids)
-        numbers = np.atleast_1d(np.asarray(ids, dtype=object)).tolist()
-        for number in numbers:
-            check_whole("ids", number, 0)
-            if number > _LARGEST_ID:
-                raise InputError(f"ids: must be at most {_LARGEST_ID}, got {number}.")
-        with self._turn:
-            return drop(self.store, np.array([index(number) for number in numbers], dtype=np.int64))
-
-    def add(self, table: Any) -> int:
-        """Record simulations that were not asked for, such as last year's; they are durable once this returns.
-
-        The classifier learns from them. They are not part of the initial design, which is a sample of the design
-        space, and do not count towards the budget. A simulation that is recorded already is ignored.
-
-        Args:
-            table: as for `tell`, with all variables in place of `id`.
-
-        Returns:
-            Number of new simulations.
-
-        Raises:
-            InputError: naming row, column, rule and value.
-            StoreError: if the run is not open for writing, or they cannot be recorded.
-        """
-        from activefail.campaign.results_table import ResultTable
-        from activefail.loop.telling import add
-
-        checked = table_of(table)
-        if not checked.rows:
-            return 0
-        added = ResultTable.added(self.campaign, checked)
-        with self._turn:
-            warn = self._warner(added)
-            with rows_named(added):
-                new = add(self.campaign, self.store, added.designs, added.results, warn)
-            self._predicts = None
-        return new
-
-    def _warner(self, results: "ResultTable", others: "Sequence[str]" = ()) -> Callable[[], None]:
-        """Warns of likely mistakes in a table; called before the commit, because warnings may be raised as errors."""
-
-        def warn() -> None:
-            for text in (*results.warnings(self.campaign), *others):
-                # Attributed to the caller of `Run.tell` or `Run.add`, which call a function that calls this.
-                warnings.warn(text, stacklevel=4)
-
-        return warn
+    ask = exchange.ask
+    tell = exchange.tell
+    is_told = exchange.is_told
+    drop = exchange.drop
+    add = exchange.add
 
     # ------------------------------------------------------------------------------------------- actions
 
@@ -455,60 +270,41 @@ class Run:
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
-        self.check_budget(budget)
-        self.campaign.check_simulates()
-        with ExitStack() as stack:
-            if executor is None:
-                executor = stack.enter_context(self._local_executor(workers))
-            if observer is None and progress:
-                observer = stack.enter_context(self._shown())
-            return self._take(budget, failure_limit, ignore_stop, executor, observer or Observer(), executor_options)
-
-    @contextmanager
-    def _shown(self) -> Iterator[Observer]:
-        """An observer that shows the progress, and stops after a batch on Ctrl-C."""
-        # Only the main thread can handle signals.
-        handles = threading.current_thread() is threading.main_thread()
-        signals = stop_on_signals(self.stop_messages.requested) if handles else nullcontext(lambda: False)
-        with signals as stop, campaign_display(self.campaign, stop) as observer:
-            yield observer
-
-    def _take(
-        self,
-        budget: int | None,
-        failure_limit: float | None,
-        ignore_stop: bool,
-        executor: "AsynchronousExecutor",
-        observer: Observer,
-        executor_options: str,
-    ) -> Taken:
         from activefail.findings.ending import how_stop_rule_was_met, too_small_for_rule
         from activefail.loop.running import run
 
+        self.check_budget(budget)
+        self.campaign.check_simulates()
         target = self.settings.sampling.budget if budget is None else budget
-        # It follows the advice to fix the simulator.
-        command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options, changes_code=True)
-        with self._turn:
-            try:
-                finished = run(
-                    self.campaign,
-                    self.store,
-                    executor,
-                    target,
-                    observer,
-                    failure_limit=failure_limit,
-                    use_stop_rule=not ignore_stop,
-                    resume_command=command,
-                )
-            finally:
-                # The loop recorded results and saved newer states, also if it failed later.
-                self._learned = self._predicts = None
-        progress = standing(self.campaign, self.history, target)
-        stop_rule = how_stop_rule_was_met(self.settings, progress.done) if finished and progress.done < target else ""
+        with ExitStack() as stack:
+            if executor is None:
+                executor = stack.enter_context(self._local_executor(workers))
+            if observer is None:
+                shown = display_with_stop(self.campaign, self.stop_messages.requested)
+                observer = stack.enter_context(shown) if progress else Observer()
+            stack.enter_context(self._turn)
+            # The loop records results and saves newer states, also if it fails later.
+            stack.callback(self._forget)
+            finished = run(
+                self.campaign,
+                self.store,
+                executor,
+                target,
+                observer,
+                failure_limit=failure_limit,
+                use_stop_rule=not ignore_stop,
+                # It follows the advice to fix the simulator.
+                resume_command=self.resume_command(None, None, ignore_stop, executor_options, changes_code=True),
+            )
+        reached = standing(self.campaign, self.history, target)
+        stop_rule = how_stop_rule_was_met(self.settings, reached.done) if finished and reached.done < target else ""
         if finished and not stop_rule and self.settings.probability_rule is not None:
             looks = self.learn().looks
             stop_rule = too_small_for_rule(self.settings, looks.probability) if len(looks.table) else ""
-        return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
+        return Taken(finished, reached, next(iter(observer.faults), ""), stop_rule)
+
+    def _forget(self) -> None:
+        self._learned = self._predicts = None
 
     @property
     def classifier(self) -> "Classifier":
@@ -533,7 +329,7 @@ class Run:
             if self._learned is None or self._learned.simulations < simulations:
                 stage("learning")
                 with one_thread():
-                    self._learned = current(self.campaign, self.store, self._write, self._learned)
+                    self._learned = current(self.campaign, self.store, self.writes, self._learned)
             return self._learned
 
     def _predicting(self, after: int | None = None) -> "SavedClassifier":
@@ -565,26 +361,11 @@ class Run:
         """
         from activefail.loop.learning import classifier_after
 
-        first = self._first(simulations)
+        first = first_simulations(self.history, simulations)
         if simulations == len(self.history):
             return self.classifier
         with one_thread():
             return classifier_after(self.campaign, first)
-
-    def _first(self, simulations: int) -> History:
-        check_whole("after", simulations, 1)
-        history = self.history
-        if not history.answered.any():
-            raise InputError(
-                f"after: none of the {len(history)} recorded simulations has an outcome, so there is nothing to learn "
-                f"from; got {simulations}."
-            )
-        if not history.leading_failures < simulations <= len(history):
-            raise InputError(
-                f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
-                f"the number of recorded simulations, got {simulations}."
-            )
-        return history[:simulations]
 
     @property
     def learned_from(self) -> list[str]:
@@ -703,20 +484,6 @@ class Run:
         """
         return Inquiry.of(self.campaign, None, question, fixed).question
 
-    def _save_estimate(self, findings: "ProbabilityFindings") -> None:
-        """Save an estimate from the present record; a run open for reading saves none."""
-        from activefail.findings.status import estimate_of
-
-        if self._write:
-            self.store.remember(estimate_of(findings.outcome, self.store.digest), findings.numbers)
-
-    def _save_design(self, findings: "DesignFindings") -> None:
-        """Save a verified design beside others; a run open for reading saves none."""
-        from activefail.risk.design.stored import remember_design
-
-        if self._write:
-            remember_design(self.store, findings.designed)
-
     def _boundary_named(self, outcome: str | None) -> str:
         """The outcome of a boundary; that of the main target boundary if None.
 
@@ -774,37 +541,9 @@ class Run:
         self.campaign.check_simulates()
         return local_executor(self.campaign.simulator, workers, self.campaign.time_limit)
 
-    @property
-    def _verified(self) -> list[tuple[str, str]]:
-        """Title and text of the classifier's error, if it was verified after the last batch."""
-        from activefail.verification.error import verified
-        from activefail.verification.stored_sets import verified_sizes
-
-        iteration = self.history.last_iteration
-        # Without any, nothing need be learned.
-        if not verified_sizes(self.store, iteration):
-            return []
-        with one_thread():
-            error = verified(self.campaign, self.store, self.classifier, iteration, _CONFIDENCE)
-        if error is None:
-            return []
-        text = f"{error.text} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
-        return [("error", text)]
-
     def _repr_html_(self) -> str:
         """The state of the campaign, for a notebook."""
-        from activefail.findings.status import read_status
-
-        try:
-            status = read_status(self.folder)
-            verified = self._verified
-        except (InputError, StoreError) as error:  # such as a folder that is gone
-            return f"<p>{escape(visible(str(error)))}</p>"
-        lines = [*status.lines, *verified, ("warning", status.summary.unseen_warning), *status.continuation]
-        rows = "".join(
-            f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
-        )
-        return f"<table><caption>{escape(visible(str(self.folder)))}</caption>{rows}</table>"
+        return html_of(self.folder, self.campaign, self.store, lambda: self.classifier)
 
     # ------------------------------------------------------------------------------------------- opening, closing
 
@@ -820,3 +559,23 @@ class Run:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def first_simulations(history: History, number: int) -> History:
+    """The first simulations of a record.
+
+    Raises:
+        InputError: if none of them has an outcome, or fewer are recorded.
+    """
+    check_whole("after", number, 1)
+    if not history.answered.any():
+        raise InputError(
+            f"after: none of the {len(history)} recorded simulations has an outcome, so there is nothing to learn "
+            f"from; got {number}."
+        )
+    if not history.leading_failures < number <= len(history):
+        raise InputError(
+            f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
+            f"the number of recorded simulations, got {number}."
+        )
+    return history[:number]

@@ -42,19 +42,28 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("name\na.txt\n", r"records.csv: requires a column `file`, got name"),
+        ("name\na.txt\n", r"records.csv: column 'file': required, but missing; the required columns are file"),
         ("file,scale\na.txt,2\n", r"unknown column 'scale'; columns are file, vertical, unit, event, dt"),
-        ("file,unit\na.txt,g\na.txt,g\n", r"line 3: file: a.txt is in line 2 already"),
-        ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in the folder of the table"),
-        ("file,vertical\na.txt,../b.AT2\n", r"line 2: vertical: must be the name of a file in the folder of the table"),
-        ("file,unit\na.txt\n", r"line 2: must have 2 values, got 1"),
-        ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2: dt: must be a number, got 'soon'"),
-        ("file\na.txt\nb.AT2\n", r"line 2: requires a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
-        ("file,unit\na.txt,feet\nb.AT2,g\n", r"records\.csv: line 2: unit: must be one of g, m/s2, cm/s2, got 'feet'"),
+        ("file,unit\na.txt,g\na.txt,g\n", r"line 3\): file: a.txt is in an earlier row already"),
+        (
+            "file,unit\n../a.txt,g\nb.AT2,g\n",
+            r"line 2\), column file: must be the name of a file in the folder",
+        ),
+        (
+            "file,vertical\na.txt,../b.AT2\n",
+            r"line 2\), column vertical: must be the name of a file in the folder of",
+        ),
+        ("file,unit\na.txt\n", r"line 2\): must have 2 cells, like the header, has 1"),
+        ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2\), column dt: must be a number, got 'soon'"),
+        ("file\na.txt\nb.AT2\n", r"line 2\): requires a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
+        (
+            "file,unit\na.txt,feet\nb.AT2,g\n",
+            r"records\.csv: row 1 .line 2\), column unit: must be one of g, .*, got 'feet'",
+        ),
         ("file,unit\nb.AT2,g\n", r"must have at least 2 records, got 1"),
         ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
-        ("", r"requires a column `file`, got none"),
-        ("file,unit,unit\na.txt,g,g\n", r"columns must have different names, got 'unit' twice"),
+        ("", r"records.csv: is empty; a header is required"),
+        ("file,unit,unit\na.txt,g,g\n", r"column 'unit': must occur only once, occurs 2 times"),
         ("file,unit,dt\nb.AT2,g,0.02\na.txt,g,0.1\n", r"b.AT2: dt: the header states an interval of 0.01 s, got 0.02"),
     ],
 )
@@ -102,10 +111,10 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
     assert [np.asarray(record.motion.vertical).tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
     assert risen.unused == 0
     for text, message in (
-        ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3: --vertical requires the file of the vertical component"),
+        ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3\): --vertical requires the file of the vertical component"),
         (
             "file\na.txt\nb.AT2\n",
-            r"line 2: --vertical requires the file of the vertical component \(column `vertical`\)",
+            r"line 2\): --vertical requires the file of the vertical component \(column `vertical`\)",
         ),
         ("file,vertical\nb.AT2,nix.txt\na.txt,c.dat\n", r"nix.txt: No such file"),
     ):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from activefail.csv_table import ROWS_AT_ONCE, DesignTable, rereadable, writing
+from activefail.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, rereadable, writing
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -29,7 +29,7 @@ def table(tmp_path: Path) -> Callable[[str | bytes], DesignTable]:
     def checked(content: str | bytes) -> DesignTable:
         path = tmp_path / "in.csv"
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return DesignTable.checked(path, NAMES, ("answer",), ordered)
+        return DesignTable.checked(Kept(path, str(path)), NAMES, ("answer",), ordered)
 
     return checked
 
@@ -42,11 +42,11 @@ def rows(of: DesignTable) -> tuple[list[list[str]], list[list[float]]]:
 # What is wrong, and what the message says of it after the file's name.
 BAD = {
     "text": ("a,b\n1,2\n1,two\n", "row 2 (line 3), column b: must be a number, got 'two'"),
-    "empty cell": ("a,b\n,2\n", "row 1 (line 2), column a: must be a number, got ''"),
-    "nan": ("a,b\n1,2\nNaN,2\n", "row 2 (line 3), column a: must be finite, got 'NaN'"),
+    "empty cell": ("a,b\n,2\n", "row 1 (line 2), column a: must be a finite number, got an empty cell"),
+    "nan": ("a,b\n1,2\nNaN,2\n", "row 2 (line 3), column a: must be a finite number, got 'NaN'"),
     "nul": ("a,b\n1,\x00\n", "row 1 (line 2), column b: must be a number, got '\\x00'"),
     "broken rule": ("a,b\n1,2\n3,2\n", "row 2 (line 3), column b: `a <= b` must hold, got 2"),
-    "cell too few": ("a,b,note\n1,2,x\n1,2\n", "row 2 (line 3), must have 3 cells, like the header, has 2"),
+    "cell too few": ("a,b,note\n1,2,x\n1,2\n", "row 2 (line 3): must have 3 cells, like the header, has 2"),
     "line breaks in a cell": (
         'note,a,b\n"over\nthree\nlines",1,2\nx,1,?\n',
         "row 2 (line 5), column b: must be a number, got '?'",
@@ -58,7 +58,7 @@ BAD = {
         "a,answer,b\n1,2,3\n",
         "column 'answer': would be overwritten by the output; rename or remove it",
     ),
-    "empty file": ("", "is empty; a header with the columns a, b is required"),
+    "empty file": ("", "is empty; a header is required"),
     "latin-1": (b"a,b\n1,2\n1,\xfc\n", "must be UTF-8 text"),
     "open quote": ('a,b\n1,"2\n', "not valid CSV"),
 }
@@ -77,7 +77,7 @@ def test_a_bad_table_is_refused_with_its_name_and_the_place_rule_and_value_of_th
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for path, reason in ((tmp_path / "none.csv", "No such file or directory"), (tmp_path, "Is a directory")):
         with pytest.raises(InputError) as refused:
-            DesignTable.checked(path, NAMES, (), ordered)
+            DesignTable.checked(Kept(path, str(path)), NAMES, (), ordered)
         assert str(refused.value) == f"{path}: cannot be read: {reason}."
 
 
@@ -128,7 +128,9 @@ def test_a_long_table_comes_in_chunks_and_loses_no_row(table: Callable[[str | by
 def test_a_carriage_return_in_a_cell_stays_in_its_cell(tmp_path: Path) -> None:
     with writing(tmp_path / "out.csv", ["note", "a", "b"]) as write:
         write([["over\rtwo lines", "1", "2"]])
-    assert rows(DesignTable.checked(tmp_path / "out.csv", NAMES, (), ordered))[0] == [["over\rtwo lines", "1", "2"]]
+    assert rows(DesignTable.checked(Kept(tmp_path / "out.csv", ""), NAMES, (), ordered))[0] == [
+        ["over\rtwo lines", "1", "2"]
+    ]
 
 
 cells = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r"), max_size=8)
@@ -145,7 +147,7 @@ def test_what_is_written_is_read_again_to_the_last_bit(
     given = [[note, repr(a), other, repr(b)] for note, a, other, b in texts]
     with writing(path, ["note", "a", "other", "b"]) as write:
         write(given)
-    repeated = DesignTable.checked(path, NAMES, (), ordered)
+    repeated = DesignTable.checked(Kept(path, str(path)), NAMES, (), ordered)
     assert rows(repeated) == (given, [[a, b] for _, a, _, b in texts])
 
 
@@ -203,7 +205,7 @@ def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
 def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="must be a regular file"):
-        DesignTable.checked(tmp_path / "pipe", NAMES, (), ordered)
+        Table.of_csv(tmp_path / "pipe")
     with pytest.raises(InputError, match="must be a file"), writing(tmp_path / "pipe", ["a"]):
         pass
     assert (tmp_path / "pipe").is_fifo()

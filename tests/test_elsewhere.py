@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -459,17 +458,6 @@ def test_an_infinite_margin_is_warned_of(folder: Path) -> None:
             run.tell({"id": number, "g": np.inf})
 
 
-def test_a_correction_of_a_design_in_flight_or_changed_is_refused(folder: Path) -> None:
-    with af.open_run(folder, write=True) as run:
-        with pytest.raises(InputError, match=r"row 0: id 8 has no result to correct .it is in flight"):
-            run.tell({"id": 8, "g": 1.0}, correct=True)
-        with pytest.raises(InputError, match="load"):
-            run.tell({"id": 0, "g": 1.0, "load": 1.0}, correct=True)
-        assert len(run.corrections) == 0
-    with af.open_run(folder) as run, pytest.raises(StoreError, match="opened for reading only"):
-        run.tell({"id": 0, "g": 100.0}, correct=True)
-
-
 def test_an_asynchronous_campaign_goes_on_by_hand(tmp_path: Path) -> None:
     settings = BEARING.replace("batch = 4", "batch = 4, asynchronous = true").replace("budget = 16", "budget = 8")
     (tmp_path / "made.toml").write_text(settings)
@@ -643,16 +631,10 @@ def test_every_public_name_can_be_imported_and_is_documented() -> None:
 @pytest.mark.parametrize(
     "row",
     [
-        {"id": 10**400, "g": 1.0},
-        {"id": 2.5, "g": 1.0},
-        {"id": np.float64("inf"), "g": 1.0},
-        {"id": "8.5", "g": 1.0},
-        {"id": True, "g": 1.0},
-        {"id": 8, "g": Decimal("sNaN")},
+        *({"id": number, "g": 1.0} for number in (10**400, 1e300, 2**53, 2.5, "8.5", np.float64("inf"), True)),
         {"id": 8, "g": 1.0, "cause": ["fog"]},
         {"id": 8, "g": 1.0, "outcome": ("safe",)},
-        {"id": 8, "g": 1j},
-        {"id": 8, "g": True},
+        *({"id": 8, "g": value} for value in (1j, True)),
     ],
 )
 def test_odd_cells_get_a_message(folder: Path, row: dict[str, Any]) -> None:
@@ -662,27 +644,10 @@ def test_odd_cells_get_a_message(folder: Path, row: dict[str, Any]) -> None:
         assert len(run.history) == 8
 
 
-@pytest.mark.parametrize("number", [2**53, "9007199254740992", 1e300])
-def test_a_whole_number_that_is_too_large_for_an_id_is_refused_as_such(folder: Path, number: Any) -> None:
-    with (
-        af.open_run(folder, write=True) as run,
-        pytest.raises(InputError, match=r"must be a whole number below 2\*\*53"),
-    ):
-        run.tell({"id": number, "g": 1.0})
-
-
 @pytest.mark.parametrize("number", [8, 8.0, "8", "8.0", "8.", np.int8(8), np.float32(8.0)])
 def test_an_id_may_come_as_any_kind_of_whole_number(folder: Path, number: Any) -> None:
     with af.open_run(folder, write=True) as run:
         assert run.tell({"id": number, "g": 1.0}) == 1
-
-
-def test_what_is_no_path_is_refused_where_runs_are_created_and_opened(tmp_path: Path) -> None:
-    for call in (lambda: af.open_run(None), lambda: af.create_run(3, {})):
-        with pytest.raises(InputError, match="folder: must be a path, got"):
-            call()
-    with pytest.raises(InputError, match="campaign: must be a path, got NoneType"):
-        af.create_run(tmp_path / "new", None)
 
 
 def test_nothing_to_tell_or_add_is_nothing(folder: Path) -> None:
@@ -692,16 +657,11 @@ def test_nothing_to_tell_or_add_is_nothing(folder: Path) -> None:
 
 def test_ids_to_drop_may_be_an_array_and_nothing_else_odd(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
-        for ids in (2**63, None, 1.0, True, b"12", "8"):
+        for ids in (2**63, None, 1.0, [8.5], True, b"12", "8"):
             with pytest.raises(InputError, match="ids: must be"):
                 run.drop(ids)
-        assert run.drop(run.in_flight["id"].to_numpy()) == 2
-
-
-@pytest.mark.parametrize("kind", [set, tuple, iter, dict.fromkeys, lambda ids: dict.fromkeys(ids).keys(), pd.Series])
-def test_ids_to_drop_may_come_as_any_iterable(folder: Path, kind: Callable[[list[int]], Any]) -> None:
-    with af.open_run(folder, write=True) as run:
-        assert run.drop(kind([8, 9])) == 2
+        assert run.drop({8}) == 1
+        assert run.drop(run.in_flight["id"].to_numpy()) == 1
 
 
 @pytest.mark.parametrize("table", [None, 3.0, {8, 1.0}, iter([]), b"id,g"])
@@ -833,13 +793,6 @@ def test_an_initial_design_that_was_given_up_is_followed_by_another(lab: Path) -
         assert not set(first["load"]) & set(second["load"])
 
 
-def test_a_changed_design_is_refused_for_simulations_of_the_loop_too(folder: Path) -> None:
-    with af.open_run(folder, write=True) as run:
-        row = run.simulations.iloc[0].to_dict()
-        with pytest.raises(InputError, match="as handed out with id 0"):
-            run.tell({**row, "load": row["load"] + 0.1})
-
-
 def test_asking_for_nothing_keeps_the_table_that_is_there(folder: Path, tmp_path: Path) -> None:
     todo = tmp_path / "todo.csv"
     assert activefail("ask", folder, "--n", "6", "--csv", todo).code == 0
@@ -914,14 +867,10 @@ def test_warnings_are_attributed_to_the_line_that_tells(folder: Path) -> None:
 FILLED_IN = {
     "a table": "id,load,strength,span,outcome\n8,,,,\n9,{9},3.0,safe\n",
     "semicolons": "id;load;strength;span;g\n8;1,0;2,0;3,0;1,5\n",
-    "a short row": "id,load,g\n8,1.0,1.5\n9\n",
     "Latin-1": "id,note,g\n8,Brücke,1.5\n",
-    "Unicode text": "id\tnote\tg\n8\tgut\t1.5\n",
     "an unknown id": "id,g\n77,1.5\n",
     "another result": "id,g\n0,-77.0\n",
-    "another design": "id,load,outcome\n0,4.99,safe\n",
     "simulations to add": "load,strength,g\n2.0,3.0,-1.0\n",
-    "a word": "id,g\n8,wide\n",
 }
 
 
@@ -933,9 +882,7 @@ def test_a_table_with_results_that_are_not_recorded_is_not_replaced(
     with af.open_run(folder) as run:
         design = run.in_flight.set_index("id").loc[9]
     text = FILLED_IN[kind].replace("{9}", f"{design['load']!r},{design['strength']!r}")
-    (todo := tmp_path / "todo.csv").write_bytes(
-        before := text.encode({"Latin-1": "latin-1", "Unicode text": "utf-16"}.get(kind, "utf-8"))
-    )
+    (todo := tmp_path / "todo.csv").write_bytes(before := text.encode({"Latin-1": "latin-1"}.get(kind, "utf-8")))
     column = "outcome" if "outcome" in text else "g"
     said = activefail("ask", folder, option, "--csv", todo)
     refused(said, f"--csv: {todo} holds results that are not recorded ({column}): `tell` them first")
@@ -957,16 +904,6 @@ def test_ask_fill_in_and_tell_go_on_in_one_table(folder: Path, tmp_path: Path) -
         assert activefail("tell", folder, "--csv", todo).code == 0
         assert activefail("ask", folder, "--csv", todo).code == 0
         assert [int(row["id"]) for row in table(todo)] == ids
-
-
-def test_a_file_named_as_standard_output_does_not_matter(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "-").write_text("id,g\n8,1.5\n")
-    said = activefail("ask", folder, "--csv", "-")
-    assert (said.code, said.out[:3]) == (0, "id,")
-    assert (tmp_path / "-").read_text() == "id,g\n8,1.5\n"
 
 
 def test_paths_may_be_strings_or_those_of_another_library(folder: Path, tmp_path: Path) -> None:
@@ -992,22 +929,13 @@ def test_paths_may_be_strings_or_those_of_another_library(folder: Path, tmp_path
 
 def test_what_is_neither_a_path_nor_a_stream_is_refused_by_its_type(folder: Path, tmp_path: Path) -> None:
     with af.open_run(folder) as run:
-        with pytest.raises(InputError, match="target: must be a path or a text stream, got int"):
-            run.export_table(5)
-        with pytest.raises(InputError, match="target: must be a path or a text stream, got BytesIO"):
-            run.export_table(io.BytesIO())
-        with pytest.raises(InputError, match="target: must be a path, got int"):
-            run.export_parquet(5)
+        for target in (5, io.BytesIO()):
+            with pytest.raises(InputError, match="target: must be a path or a text stream, got "):
+                run.export_table(target)
         with pytest.raises(InputError, match="source: must be a file that was opened in binary mode, or its path"):
             run.predict_table(io.StringIO("load,strength\n"), tmp_path / "out.csv")
-        with pytest.raises(InputError, match="source: must be a path or a binary stream, got NoneType"):
-            run.predict_table(None, tmp_path / "out.csv")
-
-
-def test_semicolons_are_named_as_such(folder: Path, tmp_path: Path) -> None:
-    path = tmp_path / "answers.csv"
-    path.write_text("id;g\n8;1.0\n")
-    refused(activefail("tell", folder, "--csv", path), f"{path}: columns must be separated by commas, not by ';'")
+    with pytest.raises(InputError, match="folder: must be a path, got"):
+        af.open_run(None)
 
 
 def test_status_names_tell_wherever_designs_are_in_flight(tmp_path: Path) -> None:
@@ -1024,13 +952,6 @@ def test_status_names_tell_wherever_designs_are_in_flight(tmp_path: Path) -> Non
     said = activefail("resume", folder, "--workers", "1").out
     assert "in flight  2 designs, ids 0, 1; they count towards the budget. Record their results with `" in said
     assert f"continue   activefail tell {folder} --csv answers.csv\n" in activefail("status", folder).out
-
-
-def test_a_folder_in_place_of_a_table_hands_nothing_out(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "tables").mkdir()
-    refused(activefail("ask", folder, "--csv", tmp_path / "tables"), "is a folder")
-    with af.open_run(folder) as run:
-        assert run.in_flight["id"].tolist() == [8, 9]
 
 
 def test_a_design_on_a_computed_bound_is_accepted_although_its_last_digits_differ(folder: Path) -> None:
@@ -1078,22 +999,3 @@ def test_a_run_keeps_its_folder_when_the_working_directory_changes(
         run.report()
     assert (folder / "report.html").exists()
     assert list((tmp_path / "other").iterdir()) == []
-
-
-def test_a_run_whose_folder_is_gone_shows_this_in_a_notebook(folder: Path) -> None:
-    with af.open_run(folder) as run:
-        shutil.rmtree(folder)
-        assert run._repr_html_() == f"<p>{folder}: is not a run folder; it has no campaign.toml.</p>"
-
-
-def test_a_run_that_is_never_closed_ends_without_a_message(tmp_path: Path) -> None:
-    # The interpreter ends with the journal's module gone before the journal.
-    program = """
-import sys
-import activefail.record.journal as journal
-from pathlib import Path
-kept = journal.Journal(Path(sys.argv[1]), write=True, create=True)
-journal.os = None
-"""
-    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")

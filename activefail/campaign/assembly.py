@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,11 +116,6 @@ class Campaign:
         return functions
 
     @property
-    def needs_code(self) -> bool:
-        """Whether the settings name custom code: functions, or a program."""
-        return self.settings.needs_code
-
-    @property
     def decisive(self) -> tuple[str, ...]:
         """The entries of the provenance that decide the result of a simulation; none for a program or elsewhere.
 
@@ -194,47 +190,32 @@ def _simulator(
     settings: CampaignSettings, space: DesignSpace, code: Path | None, run: Path | None
 ) -> tuple[Simulator, dict[str, str]]:
     """The simulator in the settings, and the digest of its source if it is a Python function."""
-    custom = settings.simulator
-    failing = () if isinstance(custom, str) else custom.causes_that_mean("failure")
-    impossible = () if isinstance(custom, str) else custom.causes_that_mean("impossible")
-    match custom:
-        case sections.PythonSimulatorSettings() as spec:
+    spec = settings.simulator
+    if isinstance(spec, str):
+        return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
+    returns = tuple(spec.outcomes), tuple(spec.margins)
+    lost: dict[str, Any] = {
+        "failing": spec.causes_that_mean("failure"),
+        "impossible": spec.causes_that_mean("impossible"),
+    }
+    match spec:
+        case sections.PythonSimulatorSettings():
+            levels = spec.levels_of_number
             function = PythonSimulator(
-                space,
-                spec.python,
-                code,
-                tuple(spec.outcomes),
-                tuple(spec.margins),
-                folder=run,
-                renew=spec.renew,
-                levels=spec.levels_of_number,
-                failing=failing,
-                impossible=impossible,
+                space, spec.python, code, *returns, folder=run, renew=spec.renew, levels=levels, **lost
             )
             if code is None:
                 return function, {}
             source = function.load()
             return replace(function, source=source), {SIMULATOR_KEY: source}
-        case sections.CommandSimulatorSettings() as spec:
-            command = CommandSimulator(
-                space,
-                spec.command,
-                code,
-                (run or Path.cwd()) / SIMULATIONS,
-                tuple(spec.outcomes),
-                tuple(spec.margins),
-                spec.retries,
-                spec.keep,
-                spec.largest_file,
-                spec.levels_of_number,
-                failing=failing,
-                impossible=impossible,
-            )
-            return command, {}
-        case sections.ElsewhereSettings() as spec:
-            return ElsewhereSimulator(tuple(spec.outcomes), tuple(spec.margins), failing, impossible), {}
+        case sections.CommandSimulatorSettings():
+            folder = (run or Path.cwd()) / SIMULATIONS
+            lost |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
+            return CommandSimulator(
+                space, spec.command, code, folder, *returns, levels=spec.levels_of_number, **lost
+            ), {}
         case _:
-            return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
+            return ElsewhereSimulator(*returns, **lost), {}
 
 
 def _features(

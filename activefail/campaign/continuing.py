@@ -19,7 +19,7 @@ def resume_command(folder: Path, campaign: Campaign | None = None, changes_code:
         changes_code: whether the user changes the code before: functions that have changed must be named.
     """
     command = f"activefail resume {quoted(folder)}"
-    if campaign is None or not campaign.needs_code:
+    if campaign is None or not campaign.settings.needs_code:
         return command
     known = known_code(folder)
     code = known.folder if campaign.code is None and known is not None else campaign.code
@@ -42,6 +42,6 @@ def ask_command(folder: Path, campaign: Campaign) -> str:
 def how_to_continue(folder: Path, campaign: Campaign) -> str:
     """How to continue a campaign, as a clause; if its code is unknown, with what the command needs."""
     clause = f"`{continue_command(folder, campaign)}` continues it"
-    if campaign.needs_code and campaign.code is None and known_code(folder) is None:
+    if campaign.settings.needs_code and campaign.code is None and known_code(folder) is None:
         clause += ", with --code and the folder of the custom code"
     return clause

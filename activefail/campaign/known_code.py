@@ -23,17 +23,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activefail.errors import InputError
-from activefail.files import read_regular, replacing
+from activefail.files import replacing
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS
 from activefail.simulators.code_folder import sha256
 from activefail.simulators.user_code import FEATURES_KEY, digest_without_running, lies_in
+from activefail.trust import read_regular
 from activefail.visible import quoted
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-
-MOST_NOTES = 1000
-"""Most run folders that are noted; the notes written first are removed."""
 
 _LARGEST_NOTE = 100_000
 """Largest note that is read [bytes]."""
@@ -105,7 +103,7 @@ def remember_code(run: Path, campaign: "Campaign") -> None:
         campaign: as it was assembled with the code.
     """
     code, references = campaign.code, campaign.functions
-    if code is None or not campaign.needs_code:
+    if code is None or not campaign.settings.needs_code:
         return
     with suppress(*_FAILURES):
         path = _note_of(run)
@@ -123,7 +121,6 @@ def remember_code(run: Path, campaign: "Campaign") -> None:
         with replacing(path) as file:
             os.fchmod(file.fileno(), 0o600)
             json.dump(note, file, indent=1)
-        _remove_oldest(path.parent)
 
 
 def _note_of(run: Path) -> Path:
@@ -156,11 +153,3 @@ def _identity(run: Path) -> dict[str, Any]:
         "inode": status.st_ino,
         "changed": status.st_ctime_ns,
     }
-
-
-def _remove_oldest(folder: Path) -> None:
-    with os.scandir(folder) as entries:
-        notes = [entry.path for entry in entries if entry.name.startswith("code-")]
-    if len(notes) > MOST_NOTES:
-        for path in sorted(notes, key=os.path.getmtime)[:-MOST_NOTES]:
-            os.unlink(path)

@@ -9,7 +9,7 @@ from activefail.bearing.design import LARGEST
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard_sections import LARGEST_VELOCITY, LONGEST, SHORTEST
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
-from activefail.csv_table import DesignTable, read_cells
+from activefail.csv_table import Table
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.weighted import WeightedRows
@@ -41,27 +41,22 @@ def read_pulses(folder: Path, name: str) -> WeightedRows:
     if not Path(os.path.realpath(path)).is_relative_to(home):
         # A hazard file may come from someone else; messages quote the cells of its table.
         raise InputError(f"samples: must be a file in the folder of the hazard file, got {name!r}.")
-    header, rows, _ = read_cells(path)
-    size = [column for column in (PGV, AMPLITUDE) if column in header]
-    unknown = [column for column in header if column not in (PERIOD, PGV, AMPLITUDE, WEIGHT)]
-    if PERIOD not in header or len(size) != 1 or unknown:
+    table = Table.of_csv(path, MOST_ROWS)
+    size = [column for column in (PGV, AMPLITUDE) if column in table.columns]
+    unknown = [column for column in table.columns if column not in _RANGES]
+    if PERIOD not in table.columns or len(size) != 1 or unknown:
         raise InputError(
             f"{path}: the columns must be T_p, either PGV or A_p, and weight, which may be left out; got "
-            f"{','.join(header)}."
+            f"{','.join(table.columns)}."
         )
-    if not 0 < len(rows) <= MOST_ROWS:
-        raise InputError(f"{path}: must have 1 to {MOST_ROWS} rows, got {len(rows)}.")
-
-    def outside(pulse: Array) -> str | None:
-        for column, value in zip(header, pulse.tolist(), strict=True):
-            low, high, unit = _RANGES[column]
-            if not low <= value <= high:
-                return f"column {column}: must be between {low:g} and {high:g}{unit}, got {value:g}"
-        return None
-
-    table = DesignTable.checked(path, header, (), outside)
-    columns = dict(zip(header, np.concatenate([pulses for _, pulses in table.chunks()]).T, strict=True))
-    weight = columns.get(WEIGHT, np.ones(len(rows)))
+    if not table.rows:
+        raise InputError(f"{path}: must have 1 to {MOST_ROWS} rows, got none.")
+    columns = dict(zip(table.columns, table.numbers(table.columns).T, strict=True))
+    for column, values in columns.items():
+        low, high, unit = _RANGES[column]
+        for row in np.flatnonzero((values < low) | (values > high)).tolist():
+            raise table.broken(row, column, f"must be between {low:g} and {high:g}{unit}", float(values[row]))
+    weight = columns.get(WEIGHT, np.ones(len(table.rows)))
     weighs = weight > 0.0
     if not weighs.any():
         raise InputError(f"{path}: column {WEIGHT}: at least one weight must be positive, got 0 in every row.")

@@ -289,9 +289,7 @@ def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
         if name in space.fixed:
             raise InputError(f"{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
         if name not in space.names:
-            raise InputError(
-                f"{visible(name)}: is not a variable of the campaign; its variables are {', '.join(space.names)}."
-            )
+            raise InputError(f"{name}: is not a variable of the campaign; its variables are {', '.join(space.names)}.")
 
 
 def asked_of(
@@ -403,5 +401,5 @@ def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpa
             check_names({name: entry}, space)
         unit = space.parameters[space.names.index(name)].unit
     if entry.unit and entry.unit != unit:
-        stated = visible(unit) or "left out"
+        stated = unit or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

@@ -2,21 +2,19 @@
 
 import difflib
 import math
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Source, name_of, number_of, read_cells, rereadable
+from activefail.csv_table import Table
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
-from activefail.space import Array, DesignSpace
+from activefail.space import Array
 
 _ID, _OUTCOME, _CAUSE, _SECONDS = "id", "outcome", "cause", "seconds"
 
@@ -27,158 +25,17 @@ Programs print numbers with fewer digits than they compute with."""
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table of a user.
-
-    Attributes:
-        name: how messages name it: its path, or nothing.
-        columns: their names.
-        rows: their cells, text or numbers.
-        places: how messages name each row.
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    rows: list[list[Any]]
-    places: list[str]
-
-    @classmethod
-    def of_csv(cls, source: Source) -> Self:
-        """The table in a CSV file or stream.
-
-        Raises:
-            InputError: as `rereadable` and `read_cells` do.
-        """
-        with rereadable(source) as kept:
-            columns, rows, ends = read_cells(kept)
-        name = name_of(source)
-        places = [f"{name}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
-        return cls(f"{name}: ", columns, [list(row) for row in rows], places)
-
-    @classmethod
-    def of_python(cls, table: Any) -> Self:
-        """A pandas DataFrame, a mapping of columns, a sequence of mappings, one for each row, or a single row.
-
-        Raises:
-            InputError: if it is something else.
-        """
-        import pandas as pd
-
-        rule = "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"
-        # To pandas, None is a table without rows.
-        is_table = isinstance(table, pd.DataFrame | pd.Series | Mapping | Sequence | np.ndarray)
-        if not is_table or isinstance(table, str | bytes):
-            raise InputError(f"{rule}, got {type(table).__name__}.")
-        if isinstance(table, pd.Series) or (
-            isinstance(table, Mapping) and not any(_is_column(value) for value in table.values())
-        ):
-            table = [table]
-        try:
-            frame = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
-        except (TypeError, ValueError, AttributeError) as error:  # the last where kinds of rows are mixed
-            raise InputError(f"{rule}: {error}.") from None
-        columns = tuple(map(str, frame.columns))
-        for name in columns:
-            if columns.count(name) > 1:
-                raise InputError(f"column {name!r}: must occur only once, occurs {columns.count(name)} times.")
-        # By column: rows of a frame of mixed types would turn whole numbers into floats.
-        cells = [frame.iloc[:, column].tolist() for column in range(len(columns))]
-        rows = [list(row) for row in zip(*cells, strict=True)] if columns else []
-        return cls("", columns, rows, [f"row {row}" for row in range(len(rows))])
-
-    def require(self, names: Sequence[str]) -> None:
-        """Check that columns exist.
-
-        Raises:
-            InputError: naming the first that is missing.
-        """
-        for name in names:
-            if name not in self.columns:
-                raise InputError(
-                    f"{self.name}column {name!r}: required, but missing; the required columns are {','.join(names)}."
-                )
-
-    def cell(self, row: int, name: str) -> Any:
-        """A cell; None if it is empty or its column is missing."""
-        if name not in self.columns:
-            return None
-        value = self.rows[row][self.columns.index(name)]
-        if isinstance(value, str):
-            return value.strip() or None
-        return None if _is_missing(value) else value
-
-    def number(self, row: int, name: str) -> float:
-        """A cell as a number, infinity and NaN included; NaN if it is empty.
-
-        Raises:
-            InputError: if it is no number.
-        """
-        value = self.cell(row, name)
-        if value is None:
-            return math.nan
-        try:
-            if isinstance(value, bool | np.bool_):
-                raise ValueError
-            number = number_of(value) if isinstance(value, str) else float(value)
-        except (TypeError, ValueError, ArithmeticError):
-            raise self.broken(row, name, "must be a number", value) from None
-        if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):
-            raise self.broken(row, name, "must fit a float64, at most 1.8e308 in size", value)
-        return number
-
-    def finite(self, row: int, name: str) -> float:
-        """A cell as a finite number.
-
-        Raises:
-            InputError: if it is not a finite number.
-        """
-        number = self.number(row, name)
-        if not math.isfinite(number):
-            raise self.broken(row, name, "must be a finite number", self.cell(row, name))
-        return number
-
-    def designs(self, space: DesignSpace) -> Array:
-        """The designs in the rows, (n, d).
-
-        Raises:
-            InputError: if a variable is missing, or a cell is no finite number.
-        """
-        self.require(space.names)
-        columns = [[self.finite(row, name) for row in range(len(self.rows))] for name in space.names]
-        return np.array(columns, dtype=np.float64).T.reshape(len(self.rows), space.dimension)
-
-    def broken(self, row: int, column: str, rule: str, value: object) -> InputError:
-        """The error of a cell that breaks a rule; the value is None if the cell is empty."""
-        shown = "an empty cell" if value is None else repr(value)
-        return InputError(f"{self.places[row]}, column {column}: {rule}, got {shown}.")
-
-
-def _is_column(value: object) -> bool:
-    return (isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)) or hasattr(value, "to_numpy")
-
-
-def _is_missing(value: object) -> bool:
-    """Whether a cell is None, NaN or pandas' NA."""
-    try:
-        return value is None or bool(value != value)
-    except (TypeError, ValueError, ArithmeticError):  # pandas' NA has no truth value
-        return type(value).__name__ == "NAType"
-
-
-@dataclass(frozen=True)
 class ResultTable:
     """The results in a table.
 
     Attributes:
-        table: the table.
-        rows: (n,) the rows that hold a result.
+        table: the n rows that hold a result.
         ids: (n,) int64, of the designs; empty in a table of simulations that were not asked for.
         designs: (n, d) float64, NaN where the table has no such column.
         results: of the n designs.
     """
 
     table: Table
-    rows: tuple[int, ...]
     ids: NDArray[np.int64]
     designs: Array
     results: Results
@@ -193,9 +50,10 @@ class ResultTable:
         table.require([_ID])
         _require_result(campaign, table)
         answers = [_OUTCOME, *campaign.simulator.margins]
-        rows = [row for row in range(len(table.rows)) if any(table.cell(row, name) is not None for name in answers)]
-        ids = np.array([_whole(table, row) for row in rows], dtype=np.int64)
-        return cls(table, tuple(rows), ids, _designs(campaign, table, rows), _results(campaign, table, rows))
+        rows = range(len(table.rows))
+        table = table.only([row for row in rows if any(table.cell(row, name) is not None for name in answers)])
+        ids = np.array([_whole(table, row) for row in range(len(table.rows))], dtype=np.int64)
+        return cls(table, ids, _designs(campaign, table), _results(campaign, table))
 
     @classmethod
     def added(cls, campaign: Campaign, table: Table) -> Self:
@@ -206,15 +64,14 @@ class ResultTable:
         """
         table.require(campaign.space.names)
         _require_result(campaign, table)
-        rows = list(range(len(table.rows)))
-        designs = _designs(campaign, table, rows)
-        for row, design in zip(rows, designs.tolist(), strict=True):
+        designs = _designs(campaign, table)
+        for row, design in enumerate(designs.tolist()):
             for parameter, value in zip(campaign.space.parameters, design, strict=True):
                 if not parameter.low <= value <= parameter.high:
                     rule = f"`{parameter.low:g} <= {parameter.name} <= {parameter.high:g}` must hold"
                     raise table.broken(row, parameter.name, rule, value)
         none = np.empty(0, dtype=np.int64)
-        return cls(table, tuple(rows), none, designs, _results(campaign, table, rows))
+        return cls(table, none, designs, _results(campaign, table))
 
     def warnings(self, campaign: Campaign) -> list[str]:
         """Likely mistakes: misspelt columns, and margins that are missing or contradict the outcome."""
@@ -253,7 +110,7 @@ class ResultTable:
 
     def _place(self, rows: NDArray[np.bool_]) -> str:
         """How messages name the first of the marked results, (n,)."""
-        return self.table.places[self.rows[int(np.argmax(rows))]]
+        return self.table.places[int(np.argmax(rows))]
 
     def check_handed_out(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
         """Check that no design was changed since it was handed out.
@@ -267,7 +124,7 @@ class ResultTable:
             InputError: naming row, column and both values.
         """
         place = {number: k for k, number in enumerate(ids.tolist())}
-        for row, number, told in zip(self.rows, self.ids.tolist(), self.designs.tolist(), strict=True):
+        for row, (number, told) in enumerate(zip(self.ids.tolist(), self.designs.tolist(), strict=True)):
             if number not in place:
                 continue  # `tell` reports an unknown id
             for parameter, value, asked in zip(
@@ -298,38 +155,36 @@ def _levels(campaign: Campaign) -> tuple[float, ...]:
 
 
 def _whole(table: Table, row: int) -> int:
-    value = table.cell(row, _ID)
-    number = value
-    # pandas writes 7.0 where a column has gaps.
-    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,300}(\.0*)?", value):
-        number = int(value.partition(".")[0])
-    is_number = isinstance(number, int | float | np.integer | np.floating) and not isinstance(number, bool)
-    if not is_number or (isinstance(number, float | np.floating) and not number.is_integer()):
-        raise table.broken(row, _ID, "must be a whole number", value)
+    try:
+        number = table.number(row, _ID)  # pandas writes 7.0 where a column has gaps
+    except InputError:
+        number = math.nan
+    if not number.is_integer():
+        raise table.broken(row, _ID, "must be a whole number", table.cell(row, _ID))
     if abs(number) >= 2**53:
-        raise table.broken(row, _ID, "must be a whole number below 2**53", value)
+        raise table.broken(row, _ID, "must be a whole number below 2**53", table.cell(row, _ID))
     return int(number)
 
 
-def _designs(campaign: Campaign, table: Table, rows: Sequence[int]) -> Array:
+def _designs(campaign: Campaign, table: Table) -> Array:
     """The designs of rows, (n, d), NaN where a column is missing. Fixed quantities must have their values.
 
     Raises:
         InputError: if a cell is no finite number.
     """
-    designs = np.full((len(rows), campaign.space.dimension), np.nan)
+    designs = np.full((len(table.rows), campaign.space.dimension), np.nan)
     for column, name in enumerate(campaign.space.names):
         if name in table.columns:
-            designs[:, column] = [table.finite(row, name) for row in rows]
+            designs[:, column] = table.numbers([name])[:, 0]
     for name, value in campaign.space.fixed.items():
         if name in table.columns:
-            for row in rows:
-                if abs(table.finite(row, name) - value) > _SAME_DESIGN * abs(value):
+            for row, number in enumerate(table.numbers([name])[:, 0].tolist()):
+                if abs(number - value) > _SAME_DESIGN * abs(value):
                     raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return designs
 
 
-def _results(campaign: Campaign, table: Table, rows: Sequence[int]) -> Results:
+def _results(campaign: Campaign, table: Table) -> Results:
     """The results of rows.
 
     Raises:
@@ -339,7 +194,7 @@ def _results(campaign: Campaign, table: Table, rows: Sequence[int]) -> Results:
     empty = Results(
         np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int8), np.empty((0, k)), np.empty(0, dtype=np.float64)
     )
-    results = Results.concatenate([empty, *(_result(campaign, table, row) for row in rows)])
+    results = Results.concatenate([empty, *(_result(campaign, table, row) for row in range(len(table.rows)))])
     return settled(campaign.simulator, results)
 
 

@@ -24,9 +24,9 @@ from activefail.cli.common import (
     table_output,
 )
 from activefail.cli.options import with_options
-from activefail.display import campaign_display, progress_bar
+from activefail.display import progress_bar
 from activefail.errors import InputError
-from activefail.interrupts import INTERRUPTED, stop_on_signals
+from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
 from activefail.requests import EXECUTOR, SCHEDULER, WORKERS
 from activefail.visible import visible
@@ -131,15 +131,13 @@ def _take(
     stops = run.stop_messages
     command = run.resume_command(budget, failure_limit, ignore_stop, executor_options)
     try:
-        with stop_on_signals(stops.requested) as stop, campaign_display(run.campaign, stop) as observer:
-            taken = run.take(
-                budget,
-                failure_limit=failure_limit,
-                ignore_stop=ignore_stop,
-                executor=executor,
-                observer=observer,
-                executor_options=executor_options,
-            )
+        taken = run.take(
+            budget,
+            failure_limit=failure_limit,
+            ignore_stop=ignore_stop,
+            executor=executor,
+            executor_options=executor_options,
+        )
     except KeyboardInterrupt:
         print(f"stopped; {stops.immediate}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None

@@ -26,11 +26,12 @@ from activefail.files import replacing
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
-from activefail.record.layout import SETTINGS, refuse_links
+from activefail.record.layout import SETTINGS
 from activefail.record.run_folder import check_empty
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
+from activefail.trust import refuse_links
 from activefail.verification.stored_sets import (
     name_of_neighbours,
     name_of_static_set,

@@ -25,9 +25,6 @@ from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
 from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_results, simulated_set
 
-_LARGEST_TABLE = 10_000_000
-"""Most bytes of a table of scores."""
-
 
 @dataclass(frozen=True)
 class Recall:
@@ -40,10 +37,6 @@ class Recall:
 
     recalled: int
     total: int
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.recalled <= self.total:
-            raise ValueError(f"`0 <= recalled <= test` must hold, got {self.recalled} and {self.total}")
 
     @property
     def share(self) -> float:
@@ -94,25 +87,14 @@ class Score:
     given: int = 0
     hypercube: int = 0
 
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.low <= self.accuracy <= self.high <= 1.0:
-            interval = (self.low, self.accuracy, self.high)
-            raise ValueError(f"`0 <= low <= accuracy <= high <= 1` must hold, got {interval}")
-
-    @classmethod
-    def columns(cls) -> list[str]:
-        """Names of the columns for fields with one number or word."""
-        return [one.name for one in fields(cls) if one.name not in ("recall", "given", "hypercube")]
-
-    @staticmethod
-    def recall_columns(outcomes: Sequence[str]) -> list[str]:
-        """Names of the columns for the recall of each outcome."""
-        return [f"{part}_{name}" for name in outcomes for part in ("recalled", "test")]
-
-    def row(self) -> list[str | int | float]:
-        """The values of `columns`, then of `recall_columns`."""
-        counts = [number for one in self.recall.values() for number in (one.recalled, one.total)]
-        return [*(getattr(self, name) for name in self.columns()), *counts]
+    @property
+    def counts(self) -> dict[str, int]:
+        """The recall of each outcome as columns of a table."""
+        return {
+            f"{part}_{name}": number
+            for name, one in self.recall.items()
+            for part, number in (("recalled", one.recalled), ("test", one.total))
+        }
 
 
 def score(
@@ -287,11 +269,13 @@ def given_in_words(scores: Sequence[Score]) -> str:
     )
 
 
-def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs: int, path: Path) -> None:
+def write_scores(scores: Sequence[Score], test_designs: int, path: Path) -> None:
     """Write scores to a CSV file, with the number of numerical failures in the test set."""
-    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered", "given", "hypercube"]
-    with writing(path, columns) as write:
-        write([[*one.row(), test_designs - one.test_designs, one.given, one.hypercube] for one in scores])
+    columns = [one.name for one in fields(Score) if one.name not in ("recall", "given", "hypercube")]
+    with writing(path, [*columns, *scores[0].counts, "test_unanswered", "given", "hypercube"]) as write:
+        for one in scores:
+            values = [getattr(one, name) for name in columns]
+            write([[*values, *one.counts.values(), test_designs - one.test_designs, one.given, one.hypercube]])
 
 
 _IDENTITY = ("comparison",)

@@ -79,7 +79,7 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
     Raises:
         InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
     """
-    from activefail.campaign.results_table import Table
+    from activefail.csv_table import Table
 
     space = campaign.space
     if isinstance(X, Sequence) and not isinstance(X, str) and X and all(map(_is_plain, X)):
@@ -101,7 +101,7 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
             row, column = np.argwhere(~np.isfinite(designs))[0].tolist()
             raise InputError(f"X: row {row}, column {space.names[column]}: must be finite, got {designs[row, column]}.")
         return designs
-    return Table.of_python(X).designs(space)
+    return Table.of_python(X).numbers(space.names)
 
 
 def _is_plain(row: object) -> bool:

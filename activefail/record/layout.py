@@ -1,11 +1,10 @@
-"""The files and folders reserved in a run folder, and the refusal of symbolic links among them."""
+"""The files and folders reserved in a run folder."""
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from activefail.errors import InputError, StoreError
-from activefail.visible import visible
+from activefail.trust import refuse_links
 
 SETTINGS = "campaign.toml"
 """The frozen copy of the settings."""
@@ -37,7 +36,8 @@ CURVES = "learning_curves"
 REPORT = "report.html"
 """The default output of `report`."""
 
-_RESERVED = (SETTINGS, JOURNAL, QUARANTINE, CHECKPOINT, REPORT, SIMULATIONS, COMPARISON)
+RESERVED = (SETTINGS, JOURNAL, QUARANTINE, CHECKPOINT, REPORT, SIMULATIONS, COMPARISON)
+"""What activefail reads and writes in a run folder."""
 
 
 def check_run_folder(folder: Path) -> None:
@@ -48,7 +48,7 @@ def check_run_folder(folder: Path) -> None:
         StoreError: if it has symbolic links, or is one of version 0.1.
     """
     path = folder / SETTINGS
-    refuse_links(folder)
+    refuse_links(folder, RESERVED)
     refuse_format_1(folder)
     if not os.path.isfile(path):
         reason = "it is a file" if folder.is_file() else f"it has no {SETTINGS}"
@@ -64,34 +64,6 @@ def refuse_format_1(folder: Path) -> None:
             f"{folder} was written by activefail 0.1. Continue it with that version (`activefail resume`), or move its "
             "simulations to a new campaign: `activefail export` there, `activefail add` here."
         )
-
-
-def refuse_links(folder: Path, names: Sequence[str] = _RESERVED) -> None:
-    """Check that no file or folder that activefail uses in a run folder is a symbolic link.
-
-    A run folder may come from someone else, and writing through a link in it could replace or remove the user's files.
-    The check runs once, when the folder is opened: it covers links that come with a folder, not later changes. The path
-    to the run folder itself may contain links.
-
-    Args:
-        folder: the run folder.
-        names: its files, and its folders, whose entries are checked too.
-
-    Raises:
-        StoreError: naming the link.
-    """
-    for name in names:
-        paths = [folder / name]
-        if os.path.isdir(paths[0]) and not os.path.islink(paths[0]):
-            try:
-                paths += sorted(paths[0].iterdir())
-            except OSError as error:
-                raise StoreError(f"Cannot read {paths[0]}: {error.strerror or error}.") from error
-        for path in filter(os.path.islink, paths):
-            raise StoreError(
-                f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it "
-                "with the file it points to."
-            )
 
 
 def check_output(option: str, path: Path | None) -> None:

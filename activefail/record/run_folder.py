@@ -20,16 +20,17 @@ from typing import Any, Self
 
 from activefail import __version__
 from activefail.errors import InputError, StoreError, SyncError
-from activefail.files import TEMPORARY, make_folder, read_regular, replace
+from activefail.files import TEMPORARY, make_folder, replace
 from activefail.record.batch import Schema
 from activefail.record.checkpoint import LARGEST_CHECKPOINT, States, decode, encode, load_hdf5
 from activefail.record.events import Event
 from activefail.record.journal import Journal
-from activefail.record.layout import CHECKPOINT, JOURNAL, LARGEST_SETTINGS, SETTINGS, refuse_format_1, refuse_links
+from activefail.record.layout import CHECKPOINT, JOURNAL, LARGEST_SETTINGS, RESERVED, SETTINGS, refuse_format_1
 from activefail.record.memory import MemoryStore
 from activefail.record.store import check_asked
 from activefail.simulators.interface import Results
 from activefail.space import Array
+from activefail.trust import read_regular, refuse_links
 from activefail.visible import visible
 
 
@@ -146,7 +147,7 @@ class FolderStore(MemoryStore):
                 settings, schema or version differ, or the journal is damaged before its end. Nothing is changed.
         """
         folder = Path(folder).absolute()
-        refuse_links(folder)
+        refuse_links(folder, RESERVED)
         refuse_format_1(folder)
         settings = _settings_of(folder)
         store = cls(folder, Journal(folder, write), provenance, decisive)

@@ -367,7 +367,7 @@ def render(
             *([f"activefail tell {run_folder} --csv answers.csv"] if campaign.is_elsewhere else []),
             *_judging(evidence, run_folder, risk),
         ],
-        "needs_code": campaign.needs_code,
+        "needs_code": campaign.settings.needs_code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
         "frozen": text,
         "digest": hashlib.sha256(text.encode()).hexdigest(),

@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from activefail.errors import InputError, signal_name
-from activefail.files import end_of, make_folder, read_regular
+from activefail.files import end_of, make_folder
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
+from activefail.trust import read_regular
 
 LONGEST_EXCERPT = 300
 """Characters of a program's `stderr.txt` that a message quotes."""

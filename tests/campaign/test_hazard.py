@@ -412,7 +412,7 @@ def test_a_question_with_velocities_in_another_unit_is_refused(tmp_path: Path, e
 TABLES = [
     ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
     ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),
-    ("T_p,PGV\n", "must have 1 to 20000 rows, got 0."),
+    ("T_p,PGV\n", "must have 1 to 20000 rows, got none."),
     ("T_p,PGV,weight\n1,1,0\n1,1,0\n", "column weight: at least one weight must be positive, got 0 in every row."),
     ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be between 0 and 1e+75, got -2."),
     ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s (not cm/s), got 80."),

@@ -13,7 +13,6 @@ import pytest
 from commandline import CommandResult, activefail, refused
 
 import activefail as af
-from activefail.campaign import known_code as notes
 from activefail.campaign.known_code import known_code
 from activefail.errors import InputError
 
@@ -344,16 +343,6 @@ def test_notes_are_in_the_home_by_default(mine: Path, tmp_path: Path, monkeypatc
         monkeypatch.setenv("XDG_STATE_HOME", value)
         af.create_run(tmp_path / f"run{value}", mine / "mine.toml").close()
     assert len(list((tmp_path / "home" / ".local" / "state" / "activefail").iterdir())) == 2
-
-
-def test_the_oldest_notes_are_removed(mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: Path) -> None:
-    monkeypatch.setattr(notes, "MOST_NOTES", 2)
-    for number in range(4):
-        af.create_run(tmp_path / str(number), mine / "mine.toml").close()
-        for note in (state / "activefail").iterdir():
-            # A clock may give several files the same time.
-            os.utime(note, ns=(0, note.stat().st_mtime_ns - 10**9))
-    assert [known_code(tmp_path / str(number)) is not None for number in range(4)] == [False, False, True, True]
 
 
 # --- Python ----------------------------------------------------------------------------------------------------------

@@ -107,163 +107,96 @@ def test_the_order_of_the_variables_is_the_files() -> None:
 
 
 # Settings that break a rule, and what the message must contain: key path, rule and value.
-BROKEN = {
-    "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
-    "unknown key of a simulator": (
+BROKEN = [
+    ("sead = 1", "sead: unknown key; did you mean 'seed'?"),
+    (
         'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',
-        ["simulator.retry: unknown key; did you mean 'retries'?"],
+        "simulator.retry: unknown key; did you mean 'retries'?",
     ),
-    "unknown key of a variable": (
-        "space.mu = {low = 0.1, high = 0.2, men = 0.15}",
-        ["space.mu.men: unknown key; did you mean 'mean'?"],
-    ),
-    "a mean of a uniform variable": (
+    (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
-        ["space.mu: a uniform distribution takes only `low` and `high`; got `mean = 0.15` and `sd = 0.1`"],
+        "space.mu: a uniform distribution takes only `low` and `high`; got `mean = 0.15` and `sd = 0.1`",
     ),
-    "a normal without its spread": (
+    (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
-        ["space.mu: a truncated normal distribution requires `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
+        "space.mu: a truncated normal distribution requires `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`",
     ),
-    "a normal far from its bounds": (
+    (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
-        ["space.mu: 0.1 to 0.2 must contain at least 1e-06 of the truncated normal distribution, got 0"],
+        "space.mu: 0.1 to 0.2 must contain at least 1e-06 of the truncated normal distribution, got 0",
     ),
-    "a logarithm of what is not positive": (
+    (
         "space.mu = {low = 0.0, high = 0.2, distribution = 'log_uniform'}",
-        ["space.mu: `low > 0` must hold for a log-uniform distribution", "0.0"],
+        "space.mu: `low > 0` must hold for a log-uniform distribution",
     ),
-    "unknown distribution": (
+    (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'poisson'}",
-        ["space.mu.distribution: must be 'uniform', 'log_uniform', 'truncated_normal'", "'poisson'"],
+        "space.mu.distribution: must be 'uniform', 'log_uniform', 'truncated_normal'",
     ),
-    "a fixed variable with bounds": (
-        "space.mu = {value = 0.1, low = 0.2}",
-        ["space.mu.low: a variable has either `low` and `high` or `value`"],
-    ),
-    "a key of a program beside a function": (
+    ("space.mu = {value = 0.1, low = 0.2}", "space.mu.low: a variable has either `low` and `high` or `value`"),
+    (
         'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
-        ["simulator.retries: belongs to `command`; cannot be combined with `python`"],
+        "simulator.retries: belongs to `command`; cannot be combined with `python`",
     ),
-    "a function and a program": (
+    (
         'simulator = { python = "a:b", command = "a {out}" }\nspace.x = { low = 0, high = 1 }',
-        ["simulator.command: cannot be combined with `python`"],
+        "simulator.command: cannot be combined with `python`",
     ),
-    "a function and expressions": (
+    (
         'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
-        ["classifier.features.expressions: cannot be combined with `python`"],
+        "classifier.features.expressions: cannot be combined with `python`",
     ),
-    "unknown table of a simulator": (
-        'simulator = { tcl = "model.tcl" }',
-        ["simulator: must be a name, a table with `python` or a table with `command`", "model.tcl"],
-    ),
-    "no function of Python": ('simulator.python = "model.py"', ['simulator.python: must be "module:function"']),
-    "one outcome": (
-        'simulator = { python = "a:b", outcomes = ["safe"] }',
-        ["simulator.outcomes: must have at least 2 entries, got ['safe']"],
-    ),
-    "an outcome twice": (
-        'simulator = { python = "a:b", outcomes = ["safe", "safe"] }',
-        ["simulator.outcomes: must differ from each other, got 'safe' twice"],
-    ),
-    "outcomes with the most severe one first": (
+    ('simulator = { tcl = "model.tcl" }', "simulator: must be a name, a table with `python` or a table with `command`"),
+    ('simulator.python = "model.py"', 'simulator.python: must be "module:function"'),
+    (
         'simulator = { python = "a:b", outcomes = ["failure", "safe"] }',
-        ["simulator.outcomes: the least severe outcome must come first, but 'safe' is the last of ['failure', 'safe']"],
+        "simulator.outcomes: the least severe outcome must come first, but 'safe' is the last of ['failure', 'safe']",
     ),
-    "a margin that is no name": (
-        'simulator = { python = "a:b", margins = ["peak drift"] }',
-        ["simulator.margins: must be identifiers, got 'peak drift'"],
-    ),
-    "an unknown key that reads like a kind of table": (
-        '[space]\nx = { low = 1, high = 2, "a range" = 3 }\n',
-        ['space.x."a range": unknown key'],
-    ),
-    "a level of no margin": (
+    ('[space]\nx = { low = 1, high = 2, "a range" = 3 }\n', 'space.x."a range": unknown key'),
+    (
         'simulator = { python = "a:b", margins = ["g"], levels = { h = [0.1] } }',
-        ["simulator.levels: must name one of simulator.margins (g), got 'h'"],
+        "simulator.levels: must name one of simulator.margins (g), got 'h'",
     ),
-    "too many levels": (
+    (
         'simulator = { python = "a:b", margins = ["g"], levels = { g = [0.1, 0.0] } }',
-        ["simulator.levels: g: must have a level for each of failure, got [0.1, 0.0]"],
+        "simulator.levels: g: must have a level for each of failure, got [0.1, 0.0]",
     ),
-    "levels that do not decrease": (
+    (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c"], margins = ["g"], levels = { g = [0.1, 0.1] } }',
-        ["simulator.levels: g: must decrease from outcome to outcome, got [0.1, 0.1]"],
+        "simulator.levels: g: must decrease from outcome to outcome, got [0.1, 0.1]",
     ),
-    "a level that is no number": (
+    (
         'simulator = { python = "a:b", margins = ["g"], levels = { g = [nan] } }',
-        ["simulator.levels.g.0: must be a finite number, got nan"],
+        "simulator.levels.g.0: must be a finite number, got nan",
     ),
-    "a truncated margin that is not declared": (
-        'simulator = { python = "a:b", truncated = ["g"] }',
-        ["simulator.truncated: must name one of simulator.margins (none), got 'g'"],
-    ),
-    "no time at all": (
-        'simulator = { command = "a {out}", time_limit = 0.0 }',
-        ["simulator.time_limit: must be greater than 0", "0.0"],
-    ),
-    "text for a number": ('seed = "one"', ["seed: must be", "integer", "'one'"]),
-    "half a variable": ("space.mu = {low = 0.1}", ["space.mu: a uniform distribution requires `low` and `high`"]),
-    "four outcomes": (
+    ('simulator = { command = "a {out}", time_limit = 0.0 }', "simulator.time_limit: must be greater than 0"),
+    ('seed = "one"', "seed: must be"),
+    ("space.mu = {low = 0.1}", "space.mu: a uniform distribution requires `low` and `high`"),
+    (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
-        ["simulator.outcomes: must have at most 3 entries, got ['a', 'b', 'c', 'd']"],
+        "simulator.outcomes: must have at most 3 entries, got ['a', 'b', 'c', 'd']",
     ),
-    "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table of keys and values, got [0.1, 0.2]"]),
-    "a section that is none": (
-        "stop = 0.05",
-        ["stop: must be a table with `error` or a table with `probability`, got 0.05"],
-    ),
-    "no variables with a custom simulator": (
-        'simulator.python = "a:b"',
-        ["space: required with a custom simulator"],
-    ),
-    "no variable": ("[space]", ["space: ", "at least 1"]),
-    "batch too large": ("sampling.batch = 501", ["sampling.batch: must be less than or equal to 500", "501"]),
-    "budget below initial": (
-        "sampling = {initial = 100, budget = 50}",
-        ["sampling: `initial <= budget` must hold, got 100 and 50"],
-    ),
-    "low above high": (
-        "space.mu = {low = 0.2, high = 0.1}",
-        ["space.mu: `low < high` must hold, got 0.2 and 0.1"],
-    ),
-    "square that overflows": (
-        "space.mu = {low = 1, high = 1e155}",
-        ["space.mu: the range must lie between -1e+75 and 1e+75, got 1 to 1e+155"],
-    ),
-    "nan": ("space.mu = {low = nan, high = 1}", ["space.mu.low: must be a finite number", "nan"]),
-    "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
-    "unknown features": (
-        'classifier.features = "all"',
-        ["classifier.features: must be 'paper', 'design', 'decorrelated', 'sliding' or 'collision'", "'all'"],
-    ),
-    "unknown criterion": (
-        'acquisition.criterion = "luck"',
-        ["acquisition.criterion: must be 'entropy', 'u', 'straddle', 'bald', 'eavc', 'globalmi' or 'sur'", "'luck'"],
-    ),
-    "number for a boundary": ("acquisition.boundary = 2", ["acquisition.boundary: must be an outcome, or", "got 2"]),
-    "no boundary": ("acquisition.boundary = {}", ["acquisition.boundary: must name at least one outcome"]),
-    "weight of 0": (
+    ("space.mu = [0.1, 0.2]", "space.mu: must be a table of keys and values, got [0.1, 0.2]"),
+    ("stop = 0.05", "stop: must be a table with `error` or a table with `probability`, got 0.05"),
+    ('simulator.python = "a:b"', "space: required with a custom simulator"),
+    ("sampling = {initial = 100, budget = 50}", "sampling: `initial <= budget` must hold, got 100 and 50"),
+    ("space.mu = {low = 0.2, high = 0.1}", "space.mu: `low < high` must hold, got 0.2 and 0.1"),
+    ("space.mu = {low = 1, high = 1e155}", "space.mu: the range must lie between -1e+75 and 1e+75, got 1 to 1e+155"),
+    ("acquisition.boundary = 2", "acquisition.boundary: must be an outcome, or"),
+    ("acquisition.boundary = {}", "acquisition.boundary: must name at least one outcome"),
+    (
         "acquisition.boundary = {failure = 1, impact = 0}",
-        ["acquisition.boundary: the weight of 'impact' must be a positive finite number, got 0"],
+        "acquisition.boundary: the weight of 'impact' must be a positive finite number, got 0",
     ),
-    "seed of thousands of digits": (
-        f"seed = 0x{'f' * 6000}",
-        ["seed: must be less than 9223372036854775808, got a number with thousands of digits"],
-    ),
-    "name that is none": (
-        'space."T b" = {low = 1, high = 2}',
-        ["space: a variable's name must be an identifier, got 'T b'"],
-    ),
-    "truth for a weight": ("acquisition.boundary = {failure = true}", ["acquisition.boundary: the weight", "True"]),
-}
+    (f"seed = 0x{'f' * 6000}", "seed: must be less than 9223372036854775808, got a number with thousands of digits"),
+    ('space."T b" = {low = 1, high = 2}', "space: a variable's name must be an identifier, got 'T b'"),
+]
 
 
-@pytest.mark.parametrize(("text", "says"), BROKEN.values(), ids=BROKEN.keys())
-def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, says: list[str]) -> None:
+@pytest.mark.parametrize(("text", "says"), BROKEN, ids=[says[:40] for _, says in BROKEN])
+def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, says: str) -> None:
     message = _refusal(text)
-    assert message.startswith("mine.toml:\n  ")
-    assert [part for part in says if part not in message] == []
+    assert message.startswith(f"mine.toml:\n  {says}")
     assert len(message.splitlines()) == 2
     assert len(message) < 400
 

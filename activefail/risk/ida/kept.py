@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from activefail.errors import InputError
-from activefail.files import read_regular, replacing, writing_to
+from activefail.files import replacing, writing_to
 from activefail.risk.ida.capacity import Answers, Runs, Simulate
 from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.trust import read_regular
 from activefail.visible import visible
 
 _PART = 100

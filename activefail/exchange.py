@@ -1,0 +1,202 @@
+"""Simulations done elsewhere: designs are handed out, and results and other simulations are recorded.
+
+Each function is a method of `Run`.
+"""
+
+import warnings
+from collections.abc import Callable, Iterable
+from operator import index
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activefail.arguments import check_whole, rows_named, table_of
+from activefail.surrogate.threads import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pandas import DataFrame
+
+    from activefail.campaign.results_table import ResultTable
+    from activefail.csv_table import Table
+    from activefail.loop.in_flight import HandedOut
+    from activefail.run import Run
+
+_LARGEST_ID = 2**53
+"""Largest id; none is that large."""
+
+
+def ask(run: "Run", n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
+    """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
+
+    None of them is handed out again, not even after a crash; `in_flight` lists them. The proposals are those of
+    `take`: the initial design first, then what the criterion chooses, given the designs in flight.
+
+    Args:
+        n: number of designs.
+        beyond: whether to hand out designs beyond the budget.
+        ignore_stop: whether to hand out designs even if the stop rule is met.
+
+    Returns:
+        The columns of `in_flight`. If there are not n, `attrs["reason"]` says why; otherwise it is empty.
+
+    Raises:
+        InputError: if n is no whole number or below 1.
+        StoreError: if the run is not open for writing, or the designs cannot be recorded.
+
+    Example:
+        >>> while len(designs := run.ask(8)):
+        ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
+    """
+    from activefail.findings.dataframes import designs_frame
+    from activefail.loop import asking
+
+    check_whole("n", n, 1)
+    with run._turn, one_thread():
+        budget = None if beyond else run.settings.sampling.budget
+        proposed = asking.ask(run.campaign, run.store, n, budget, ignore_stop, run._learned)
+        run._learned = proposed.learned or run._learned
+    frame = designs_frame(run.campaign, proposed.designs)
+    frame.attrs["reason"] = proposed.reason
+    return frame
+
+
+def tell(run: "Run", table: Any, *, correct: bool = False) -> int:
+    """Record results of designs in flight, or correct recorded ones; they are durable once this returns.
+
+    A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded. A correction
+    replaces the result of a simulation, whether it was told, added or simulated by the loop; `corrections` keeps
+    the former one. The classifier learns again as if it had got the right result at first.
+
+    Args:
+        table: a DataFrame, a dictionary of columns, a list of dictionaries, one row as a dictionary or a Series,
+            or a CSV file (its path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's
+            margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
+            have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
+            has levels, the outcome may be left out. Other columns are ignored, as are rows without outcome and
+            margins.
+        correct: whether the table corrects recorded results; it must then hold no others.
+
+    Returns:
+        Number of new, or corrected, results.
+
+    Raises:
+        InputError: naming row, column, rule and value.
+        StoreError: if the run is not open for writing, or the results cannot be recorded.
+    """
+    from activefail.loop import telling
+
+    checked = table_of(table)
+    if not checked.rows:
+        return 0
+    with run._turn:
+        told, handed_out = _told(run, checked)
+        if not correct:
+            return _record(run, told, telling.tell, told.ids)
+        lost = telling.lost_margins(run.campaign, told.ids, told.results, handed_out)
+        new = _record(run, told, telling.correct, told.ids, lost)
+        # What was learned came from the former results.
+        run._forget()
+    return new
+
+
+def is_told(run: "Run", table: Any) -> bool:
+    """Whether a table holds no result that `tell` would record.
+
+    Args:
+        table: as for `tell`.
+
+    Raises:
+        InputError: as `tell` does.
+    """
+    from activefail.loop.telling import new_results
+
+    told, handed_out = _told(run, table_of(table))
+    with rows_named(told):
+        return not new_results(run.campaign, told.ids, told.results, handed_out)
+
+
+def _told(run: "Run", table: "Table") -> "tuple[ResultTable, HandedOut]":
+    """The results in a table, with designs as they were handed out, and the designs of the record."""
+    from activefail.campaign.results_table import ResultTable
+
+    told, handed_out = ResultTable.told(run.campaign, table), run.handed_out
+    ids = np.concatenate([handed_out.asked.id, handed_out.history.id])
+    designs = handed_out.history.designs.reshape(-1, run.space.dimension)
+    told.check_handed_out(run.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
+    return told, handed_out
+
+
+def drop(run: "Run", ids: Iterable[int] | int) -> int:
+    """Give up designs in flight: they get no result and are not proposed again.
+
+    Args:
+        ids: of the designs.
+
+    Returns:
+        Number of designs that were in flight; one that was dropped before is not counted.
+
+    Raises:
+        InputError: if an id is unknown or has a result; nothing is dropped then.
+        StoreError: if the run is not open for writing, or this cannot be recorded.
+    """
+    from activefail.loop import telling
+
+    if isinstance(ids, Iterable) and not isinstance(ids, str | bytes | np.ndarray):
+        ids = list(ids)
+    numbers = np.atleast_1d(np.asarray(ids, dtype=object)).tolist()
+    for number in numbers:
+        check_whole("ids", number, 0, _LARGEST_ID)
+    with run._turn:
+        return telling.drop(run.store, np.array([index(number) for number in numbers], dtype=np.int64))
+
+
+def add(run: "Run", table: Any) -> int:
+    """Record simulations that were not asked for, such as last year's; they are durable once this returns.
+
+    The classifier learns from them. They are not part of the initial design, which is a sample of the design
+    space, and do not count towards the budget. A simulation that is recorded already is ignored.
+
+    Args:
+        table: as for `tell`, with all variables in place of `id`.
+
+    Returns:
+        Number of new simulations.
+
+    Raises:
+        InputError: naming row, column, rule and value.
+        StoreError: if the run is not open for writing, or they cannot be recorded.
+    """
+    from activefail.campaign.results_table import ResultTable
+    from activefail.loop import telling
+
+    checked = table_of(table)
+    if not checked.rows:
+        return 0
+    added = ResultTable.added(run.campaign, checked)
+    with run._turn:
+        return _record(run, added, telling.add, added.designs)
+
+
+def _record(
+    run: "Run", results: "ResultTable", record: Callable[..., int], which: np.ndarray, more: "Sequence[str]" = ()
+) -> int:
+    """Record results of a table, with warnings of likely mistakes in it; returns how many are new.
+
+    Args:
+        results: in the table.
+        record: a function of `activefail.loop.telling`.
+        which: the ids of their designs, or the designs.
+        more: further warnings.
+    """
+
+    def warn() -> None:
+        # Before the commit, because warnings may be raised as errors. Attributed to the caller of `tell` or `add`.
+        for text in (*results.warnings(run.campaign), *more):
+            warnings.warn(text, stacklevel=5)
+
+    with rows_named(results):
+        new = record(run.campaign, run.store, which, results.results, warn)
+    run._predicts = None
+    return new
