@@ -222,7 +222,7 @@ class FragilityRequest(Request["FragilityFindings"]):
             return fragility(estimator, asked, ladder, outcome, self.verify, self.confidence, self.stage)
 
     def write_table(self, findings: "FragilityFindings", target: Target) -> None:
-        from activefail.risk.fragility.curve_files import write_curves
+        from activefail.risk.fragility.exports import write_curves
 
         write_curves(findings, target)
 
@@ -266,9 +266,10 @@ class DesignRequest(Request["DesignFindings"]):
 
     def answer(self, run: "Run") -> "DesignFindings":
         from activefail.campaign.inquiry import Inquiry
-        from activefail.risk.design.calculation import search_design
         from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
+        from activefail.risk.design.findings import DesignFindings
         from activefail.risk.design.risk_target import at_risk
+        from activefail.risk.design.search import find_design
         from activefail.risk.design.stored import remember_design
 
         campaign, names = run.campaign, names_of("free", self.free)
@@ -280,9 +281,10 @@ class DesignRequest(Request["DesignFindings"]):
             asked = Inquiry.of_hazard(campaign, site, asked.fixed, free)
         task = design_task(asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
         with estimating(run, self.executor, self.stage) as estimator:
-            findings = search_design(estimator, task, self.chart, self.stage)
+            designed = find_design(estimator, task, self.stage)
+            findings = DesignFindings.of(estimator, designed, self.chart, self.stage)
         if run.writes:
-            remember_design(run.store, findings.designed)
+            remember_design(run.store, designed)
         return findings
 
     def write_pages(self, findings: "DesignFindings", run: "Run", out: Path) -> list[Path]:
@@ -320,6 +322,7 @@ class SensitivityRequest(Request["SensitivityFindings"]):
     def answer(self, run: "Run") -> "SensitivityFindings":
         from activefail.campaign.inquiry import Inquiry
         from activefail.paper.p_values import variable_p_values
+        from activefail.reliability.integral import BoundariesOf
         from activefail.risk.sensitivity.calculation import sensitivity
 
         outcome = run._boundary_named(self.outcome)
@@ -327,7 +330,9 @@ class SensitivityRequest(Request["SensitivityFindings"]):
         with one_thread():
             severity = run.campaign.simulator.outcomes.index(outcome)
             p_values = variable_p_values(run.space, run.history, severity)
-            return sensitivity(asked, run.classifier, outcome, p_values, self.samples, self.confidence, self.begin)
+            boundaries = BoundariesOf(run.classifier, run.campaign.features)
+            options = self.samples, self.confidence, self.begin
+            return sensitivity(asked, boundaries, outcome, *options, run.classifier, p_values)
 
     def write_table(self, findings: "SensitivityFindings", target: Target) -> None:
         from activefail.risk.sensitivity.findings import write_csv

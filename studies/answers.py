@@ -33,9 +33,8 @@ from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.campaign.question import Question
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability.integral import BoundariesOf
-from activefail.risk.fragility.curve import Curve
+from activefail.risk.fragility.curve import Curve, risk_of
 from activefail.risk.fragility.levels import curves_on, intensity_ladder
-from activefail.risk.fragility.rates import risk_of
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
 from activefail.verification.probability_estimator import Estimator
@@ -64,7 +63,7 @@ def fragility(folder, number):
                 return hazard_question(hazard, space, bearing, level)
 
             with one_thread():
-                curves = curves_on(boundaries, at, intensity_ladder("pgv", hazard), space).curves
+                curves = curves_on(boundaries, at, intensity_ladder("pgv", hazard), space)[0]
             ladder = curves[0].ladder
             designs = [at(v).designs(at(v).space.sobol(PULSES, np.random.default_rng(1))) for v in ladder.levels]
             outcome = simulate(np.concatenate(designs)).outcome.reshape(len(designs), PULSES)
@@ -75,7 +74,7 @@ def fragility(folder, number):
                 true = Curve(ladder, (outcome >= severity).mean(axis=1), 0.0)
                 for key, one in (("risk", curve), ("true", true)):
                     risk = risk_of(one, np.array(RATES["pgv_m_s"]), np.array(RATES["annual_rate"]))
-                    row[key].append(risk.in_50_years)
+                    row[key].append(risk.probability)
             rows.append(row)
     return rows
 

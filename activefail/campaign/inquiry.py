@@ -72,7 +72,11 @@ class Inquiry:
                 asked = cls.of_hazard(campaign, given, values, free)
         else:
             asked = cls(campaign, given)
-        check_designs_of(asked.question, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+        # Variables that get their values later have some meanwhile.
+        known = {*asked.question.space.names, *asked.question.fixed}
+        waiting = _middles(space, [name for name in free if name not in known])
+        checked = asked.question.at(waiting) if waiting else asked.question
+        check_designs_of(checked, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
         return asked
 
     @classmethod

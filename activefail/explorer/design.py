@@ -243,7 +243,7 @@ class DesignAnswers:
             estimator = _InTurns(
                 campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, verification
             )
-            designed = find_design(estimator, task, verification.stage, with_costs=False)
+            designed = find_design(estimator, task, verification.stage)
         of_design = DesignFindings(designed, designed.question.outside(self.space))
         numbers, value = of_design.as_json(), designed.values[CAPACITY]
         return {

@@ -24,7 +24,7 @@ def plot_fragility_findings(findings: FragilityFindings) -> Figure:
     The curve is the result. The lognormal curve, dotted, shows how far it is from one.
     """
     deaggregation = findings.boundaries[-1].deaggregation
-    is_shown = deaggregation is not None and deaggregation.of_failures is not None
+    is_shown = deaggregation is not None and deaggregation.failures is not None
     figure = Figure(figsize=(10.4 if is_shown else 6.4, 4.8), layout="constrained")
     axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
     _draw_curves(axes[0], findings)
@@ -82,15 +82,15 @@ def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
 
 
 def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outcome: str) -> None:
-    assert deaggregation.of_failures is not None
-    shares = 100.0 * deaggregation.of_failures.T
+    assert deaggregation.failures is not None
+    shares = 100.0 * deaggregation.failures.share.T
     mesh = axes.pcolormesh(deaggregation.period, deaggregation.velocity, shares, cmap="Greys", vmin=0.0)
     axes.set(xscale="log", yscale="log", xlabel=quantity("T_p").axis, ylabel=quantity("PGV", "m/s").axis)
     axes.set_title(f"Pulses that cause {plain(words(outcome))} under the hazard")
     axes.grid(visible=False)
     for axis in (axes.xaxis, axes.yaxis):
         plain_log(axis, _STEPS)
-    median = deaggregation.period_of_pulses.median, deaggregation.velocity_of_pulses.median
+    median = deaggregation.pulses.period.p50, deaggregation.pulses.velocity.p50
     axes.plot(*median, "+", color=VERMILION, markersize=10, label="median pulse of the hazard")
     axes.legend(loc="lower left")
     figure.colorbar(mesh, ax=axes, label="share of the failures [%]")

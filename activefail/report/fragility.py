@@ -9,7 +9,7 @@ from activefail.findings.quantities import quantity
 from activefail.report.environment import page_environment
 from activefail.report.folder import write_folder
 from activefail.report.picture import picture
-from activefail.risk.fragility.curve_files import files_of
+from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
     FragilityFindings,
     fixed_in_words,
@@ -48,7 +48,7 @@ def curves_shown(findings: FragilityFindings, figure: "Figure") -> dict[str, Any
         ],
         "has_alone": any(one.alone is not None for one in findings.boundaries),
         "has_lognormal": any(one.lognormal is not None for one in findings.boundaries),
-        "has_pulses": parts is not None and parts.of_failures is not None,
+        "has_pulses": parts is not None and parts.failures is not None,
         "has_verification": findings.has_verification,
         "no_risk": why_no_risk(findings),
         "notes": findings.assumptions,

@@ -11,9 +11,8 @@ from activefail.figures.design import marks_of_stored, plot_required
 from activefail.figures.fragility import plot_fragility_findings
 from activefail.report.fragility import curves_shown
 from activefail.report.picture import picture
-from activefail.risk.design.calculation import chart_of
 from activefail.risk.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
-from activefail.risk.design.required_chart import RequiredChart
+from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.stored import StoredDesign, stored_designs
 from activefail.risk.fragility.calculation import fragility
 from activefail.risk.fragility.findings import FragilityFindings

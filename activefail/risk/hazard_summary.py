@@ -13,15 +13,22 @@ from activefail.campaign.hazard_sections import RELATIONS, MagnitudeSection
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Outside, Question
 from activefail.findings.lines import titled
+from activefail.json_text import json_values, named
 from activefail.risk.design.design_task import RISK_CATEGORIES
-from activefail.risk.fragility.rates import exceedance
+from activefail.risk.fragility.curve import exceedance
 from activefail.shares import percent
 from activefail.space import Array, DesignSpace
-from activefail.weighted import weighted_quantiles
+from activefail.weighted import WeightedRows, weighted_quantiles
 
 _SHARES = (0.05, 0.5, 0.95)
 _NORMAL_95 = 1.6448536269514722
 """Standard normal quantile of 95 %."""
+
+
+_VELOCITY_PULSE = "T_velocity"
+"""Name of the period of the velocity pulse, which publications give."""
+
+_QUANTITIES = ((PERIOD, "s"), (_VELOCITY_PULSE, "s"), (PGV, "m/s"), (AMPLITUDE, "g"))
 
 
 class Spread(NamedTuple):
@@ -61,9 +68,9 @@ class HazardSummary:
         Raises:
             InputError: as `activefail.campaign.hazard.check_applies` does.
         """
-        spreads = _spreads_of_rows(hazard) if hazard.rows is not None else _lognormal_spreads(hazard)
+        spreads, correlation = _lognormal(hazard) if hazard.rows is None else _of_rows(hazard.rows)
         outside = None if space is None else _outside(hazard, space, fixed or {})
-        return cls(hazard, *spreads, outside, tuple(fixed or ()))
+        return cls(hazard, tuple(spreads), correlation, outside, tuple(fixed or ()))
 
     @property
     def curve(self) -> tuple[tuple[float, float], ...]:
@@ -120,8 +127,7 @@ class HazardSummary:
         if (added := settings.uncertainty) is not None:
             parts = f"design requirements {added.design_requirements:g}, test data {added.test_data:g}"
             rows.append(("uncertainty", f"{parts}, modelling {added.modelling:g}; together {added.total:.3g}"))
-        for pgv, rate in self.curve:
-            rows.append(("curve", f"PGV above {pgv:g} m/s: {_rate_text(rate)}"))
+        rows += [("curve", f"PGV above {pgv:g} m/s: {_rate_text(rate)}") for pgv, rate in self.curve]
         if self.rate_at_median is not None:
             rows.append(("", f"PGV above its median: {_rate_text(self.rate_at_median)}"))
         targets = ", ".join(f"{100.0 * share:g} % for risk category {name}" for name, share in RISK_CATEGORIES.items())
@@ -136,31 +142,30 @@ class HazardSummary:
 
     def as_json(self) -> dict[str, Any]:
         """The summary as JSON values."""
-        settings, hazard, outside = self.hazard.settings, self.hazard, self.outside
-        sections = ("properties", "record_factor", "uncertainty")
-        return {
-            "title": hazard.title,
-            "source": self.source,
-            "pulses": {
-                spread.name: {k: v for k, v in spread._asdict().items() if k != "name"} for spread in self.spreads
-            },
-            "correlation_of_logarithms": self.correlation,
-            **{name: one.model_dump() if (one := getattr(settings, name)) else None for name in sections},
-            "added_dispersion": hazard.added_dispersion,
-            "bias": hazard.bias,
-            "curve": [{"pgv_m_s": v, "annual_rate": rate, "return_period": 1.0 / rate} for v, rate in self.curve],
-            "annual_rate_at_median_pgv": self.rate_at_median,
-            "targets": RISK_CATEGORIES,
-            "assumptions": self.assumptions,
-            "outside": outside
-            and {
-                "total": outside.share,
-                "parts": [part._asdict() for part in outside.parts],
-                "bearing": list(self.bearing),
-                "interval": None,
-                "interval_reason": f"the share of {len(outside.X):,} points of a scrambled Sobol' sequence",
-            },
-        }
+        hazard, outside = self.hazard, self.outside
+        sections = named(hazard.settings, "properties", "record_factor", "uncertainty")
+        return json_values(
+            {
+                **named(hazard, "title"),
+                "source": self.source,
+                "pulses": {one.name: dict(zip(Spread._fields[1:], one[1:], strict=True)) for one in self.spreads},
+                "correlation_of_logarithms": self.correlation,
+                **{name: section and section.model_dump() for name, section in sections.items()},
+                **named(hazard, "added_dispersion", "bias"),
+                "curve": [{"pgv_m_s": v, "annual_rate": rate, "return_period": 1.0 / rate} for v, rate in self.curve],
+                "annual_rate_at_median_pgv": self.rate_at_median,
+                "targets": RISK_CATEGORIES,
+                "assumptions": self.assumptions,
+                "outside": outside
+                and {
+                    "total": outside.share,
+                    "parts": outside.parts,
+                    "bearing": self.bearing,
+                    "interval": None,
+                    "interval_reason": f"the share of {len(outside.X):,} points of a scrambled Sobol' sequence",
+                },
+            }
+        )
 
 
 def _outside(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]) -> Outside:
@@ -176,33 +181,24 @@ def _rate_text(rate: float) -> str:
     return f"annual rate {rate:.3g} (return period {1.0 / rate:,.0f} years)"
 
 
-_VELOCITY_PULSE = "T_velocity"
-"""Name of the period of the velocity pulse, which publications give."""
-
-
-def _lognormal_spreads(hazard: Hazard) -> tuple[tuple[Spread, ...], float]:
+def _lognormal(hazard: Hazard) -> tuple[list[Spread], float]:
+    """The spreads of lognormal distributions, and the correlation."""
     pgv = hazard.settings.pgv
     assert pgv is not None
-    one, other, rho = hazard.period_dispersion, pgv.dispersion, pgv.correlation_with_period
+    T, one, other, rho = hazard.median_period, hazard.period_dispersion, pgv.dispersion, pgv.correlation_with_period
     # A_p is proportional to PGV/T_p, so its logarithm is a difference of normal variables.
     of_amplitude = math.sqrt(one * one + other * other - 2.0 * rho * one * other)
-    amplitude = float(amplitude_of(np.asarray(pgv.median_m_s), np.asarray(hazard.median_period)))
-
-    def spread(name: str, unit: str, median: float, dispersion: float) -> Spread:
+    amplitude = float(amplitude_of(np.asarray(pgv.median_m_s), np.asarray(T)))
+    medians, dispersions = (T, T * VELOCITY_PERIOD, pgv.median_m_s, amplitude), (one, one, other, of_amplitude)
+    spreads = []
+    for quantity, median, dispersion in zip(_QUANTITIES, medians, dispersions, strict=True):
         factor = math.exp(_NORMAL_95 * dispersion)
-        return Spread(name, unit, median / factor, median, median * factor, dispersion)
-
-    return (
-        spread(PERIOD, "s", hazard.median_period, one),
-        spread(_VELOCITY_PULSE, "s", hazard.median_period * VELOCITY_PERIOD, one),
-        spread(PGV, "m/s", pgv.median_m_s, other),
-        spread(AMPLITUDE, "g", amplitude, of_amplitude),
-    ), rho
+        spreads.append(Spread(*quantity, median / factor, median, median * factor, dispersion))
+    return spreads, rho
 
 
-def _spreads_of_rows(hazard: Hazard) -> tuple[tuple[Spread, ...], float]:
-    rows = hazard.rows
-    assert rows is not None
+def _of_rows(rows: WeightedRows) -> tuple[list[Spread], float]:
+    """The spreads of a table of pulses, and the correlation."""
     weight = rows.weight / rows.weight.sum()
     period, pgv = rows.column(PERIOD), velocities(rows)
 
@@ -210,16 +206,11 @@ def _spreads_of_rows(hazard: Hazard) -> tuple[tuple[Spread, ...], float]:
         logarithms = np.log(values)
         return np.asarray(logarithms - weight @ logarithms)
 
-    def spread(name: str, unit: str, values: Array) -> Spread:
+    columns = (period, period * VELOCITY_PERIOD, pgv, amplitude_of(pgv, period))
+    spreads = []
+    for quantity, values in zip(_QUANTITIES, columns, strict=True):
         low, median, high = weighted_quantiles(values, weight, _SHARES).tolist()
-        return Spread(name, unit, low, median, high, math.sqrt(float(weight @ centred(values) ** 2)))
-
-    spreads = (
-        spread(PERIOD, "s", period),
-        spread(_VELOCITY_PULSE, "s", period * VELOCITY_PERIOD),
-        spread(PGV, "m/s", pgv),
-        spread(AMPLITUDE, "g", amplitude_of(pgv, period)),
-    )
+        spreads.append(Spread(*quantity, low, median, high, math.sqrt(float(weight @ centred(values) ** 2))))
     product = spreads[0].dispersion * spreads[2].dispersion
     covariance = float(weight @ (centred(period) * centred(pgv)))
     # Rows of one period, or of one velocity, have no correlation.

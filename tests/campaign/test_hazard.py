@@ -233,8 +233,8 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
         read,
         found.probability,
     )
-    assert deaggregation.velocity_of_failures is not None
-    assert deaggregation.velocity_of_failures.median > deaggregation.velocity_of_pulses.median
+    assert deaggregation.failures is not None
+    assert deaggregation.failures.velocity.p50 > deaggregation.pulses.velocity.p50
     assert counted == [512, 2048, 4096, 4096]
 
 

@@ -172,7 +172,6 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
     [
         lambda text: text.replace('"target": 0.05', '"target": 0.1'),
         lambda text: text.replace('"D_tot": 0.', '"D_tot": 1.'),
-        lambda _: "3",
     ],
 )
 def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: Path, change) -> None:

@@ -5,11 +5,12 @@ import math
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import activefail, refused
+from commandline import CommandResult, activefail, refused
 from scipy.stats import norm
 
 from activefail.campaign.inquiry import Inquiry
@@ -77,6 +78,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def asked(folder: Path, command: str, *options: object, question: str = "site.toml") -> CommandResult:
+    """What a command prints about the design of a tank."""
+    files = ("--question", folder / question, "--fixed", folder / "fixed.toml")
+    return activefail(command, folder / "run", "--code", folder, *files, "--free", "capacity", *options)
+
+
 @pytest.fixture
 def run(folder: Path) -> Iterator[Run]:
     with open_run(folder / "run", write=True, code=folder) as opened:
@@ -136,17 +143,7 @@ def test_the_page_has_the_classifiers_probability_of_each_outcome_beside_its_tar
 
 def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:
     (folder / "strong.toml").write_text(QUESTION.replace(str(MEDIAN), "4.5"))
-    options = (
-        "--code",
-        folder,
-        "--question",
-        folder / "strong.toml",
-        "--fixed",
-        folder / "fixed.toml",
-        "--free",
-        "capacity",
-    )
-    result = activefail("design", folder / "run", "--target", "0.01", *options)
+    result = asked(folder, "design", "--target", "0.01", question="strong.toml")
     assert result.code == 3
     assert "Out of reach: according to the classifier, no design within the ranges" in result.out
     assert "capacity is at the upper end of its range" in result.out
@@ -158,18 +155,8 @@ def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -
 @pytest.mark.usefixtures("without_pictures")
 def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder: Path, tmp_path: Path) -> None:
     # Fifty simulations can hardly show 1 %.
-    options = (
-        "--code",
-        folder,
-        "--question",
-        folder / "site.toml",
-        "--fixed",
-        folder / "fixed.toml",
-        "--free",
-        "capacity",
-    )
     out = tmp_path / "out"
-    result = activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options, "--out", out)
+    result = asked(folder, "design", "--target", "0.01", "--simulations", 50, "--out", out)
     shown = json.loads((out / "design.json").read_text())
     assert (result.code == 3) == (shown["high"] > 0.01)
     assert ("Not verified" in result.out) == (shown["status"] == "not verified")
@@ -177,17 +164,7 @@ def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder:
 
 def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "made" / "here"
-    options = (
-        "--code",
-        folder,
-        "--question",
-        folder / "site.toml",
-        "--fixed",
-        folder / "fixed.toml",
-        "--free",
-        "capacity",
-    )
-    result = activefail("design", folder / "run", "--target", "II", *options, "--out", out)
+    result = asked(folder, "design", "--target", "II", "--out", out)
     assert result.code == 0, result.err
     assert sorted(path.name for path in out.iterdir()) == ["design.html", "design.json", "design.toml"]
     numbers, values = json.loads((out / "design.json").read_text()), tomllib.loads((out / "design.toml").read_text())
@@ -195,19 +172,8 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
     assert (numbers["target"], numbers["confidence"], numbers["status"]) == (0.1, 0.95, "verified")
     page = (out / "design.html").read_text()
     assert "The design meets its target" in page
-    again = activefail(
-        "probability",
-        folder / "run",
-        "--code",
-        folder,
-        "--question",
-        folder / "site.toml",
-        "--fixed",
-        out / "design.toml",
-        "--simulations",
-        350,
-        "--json",
-    )
+    options = ("--code", folder, "--question", folder / "site.toml", "--fixed", out / "design.toml")
+    again = activefail("probability", folder / "run", *options, "--simulations", 350, "--json")
     assert again.code == 0, again.err
     assert json.loads(again.out)["outcomes"]["failure"]["probability"] == pytest.approx(
         numbers["probability"], abs=0.02
@@ -228,18 +194,20 @@ def limit(X: Array) -> Array:
     return np.asarray(np.log(X[:, 3] / X[:, 0]) + X[:, 1] + X[:, 2])
 
 
+_QUESTION = Question("none", ("x",), None)  # type: ignore[arg-type]
+
+
+def task_on(
+    low: float, high: float, target: float, name: str = "x", question: Question = _QUESTION, simulations: int = 100
+) -> DesignTask:
+    """The smallest value of one variable that meets a target."""
+    asked, required = Inquiry(None, question), (Requirement("failure", target),)  # type: ignore[arg-type]
+    price = itemgetter(name)
+    return DesignTask(asked, {name: low}, {name: high}, price, name, required, 0.95, simulations)
+
+
 def task_of(question: Question, target: float = 0.1, simulations: int = 500) -> DesignTask:
-    free = {"capacity": (0.5, 6.0)}
-    return DesignTask(
-        Inquiry(None, question),  # type: ignore[arg-type]
-        {name: low for name, (low, _) in free.items()},
-        {name: high for name, (_, high) in free.items()},
-        lambda values: values["capacity"],
-        "capacity",
-        (Requirement("failure", target),),
-        0.95,
-        simulations,
-    )
+    return task_on(0.5, 6.0, target, "capacity", question, simulations)
 
 
 @dataclass
@@ -347,15 +315,7 @@ def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:
         look = Look(
             Candidate({"capacity": 2.0}, np.array([0.1]), True), (replace(sampled, is_complete=is_complete),), 0.96
         )
-        assert Designed(task_of(question), (look,), 1, "verified", {}).missable == pytest.approx(unseen)
-
-
-def test_a_target_that_only_the_interval_exceeds_gets_its_second_look() -> None:
-    # The largest capacity has exactly the target: no aim can be met, and nothing shows that the target is exceeded.
-    question = question_of(median=6.0 / math.exp(0.4 * float(norm.isf(0.1))))
-    found = find_design(MadeEstimator(1.0, 0.1, 1), task_of(question, 0.1))  # type: ignore[arg-type]
-    assert len(found.looks) == 2
-    assert found.status in ("not verified", "verified")
+        assert Designed(task_of(question), (look,), 1, "verified").missable == pytest.approx(unseen)
 
 
 def test_a_chart_gives_the_required_value_for_each_target() -> None:
@@ -407,12 +367,8 @@ def test_a_line_that_fewer_points_call_feasible_is_judged_again() -> None:
         exact = 0.2 - 0.1 * values["y"] - 0.05 * values["x"]
         return np.array([exact / 1.01 if points < 1000 else exact])
 
-    task = replace(
-        task_on(0.0, 1.0, 0.1),
-        low={"x": 0.0, "y": 0.0},
-        high={"x": 1.0, "y": 1.0},
-        cost=lambda values: values["y"],
-    )
+    both = {"low": {"x": 0.0, "y": 0.0}, "high": {"x": 1.0, "y": 1.0}}
+    task = replace(task_on(0.0, 1.0, 0.1), **both, cost=lambda values: values["y"])
     found = cheapest(task, model, np.array([0.1]))
     assert found.is_feasible
     assert found.values["y"] == pytest.approx(0.5, abs=0.06)
@@ -465,22 +421,6 @@ def test_targets_may_be_numbers_categories_or_one_for_each_outcome() -> None:
     )
 
 
-def task_on(low: float, high: float, target: float) -> DesignTask:
-    return DesignTask(
-        Inquiry(None, _QUESTION),  # type: ignore[arg-type]
-        {"x": low},
-        {"x": high},
-        lambda values: values["x"],
-        "x",
-        (Requirement("failure", target),),
-        0.95,
-        100,
-    )
-
-
-_QUESTION = Question("none", ("x",), None)  # type: ignore[arg-type]
-
-
 def test_a_variable_whose_increase_makes_failure_likelier_is_searched_from_its_other_end() -> None:
     def model(values: dict[str, float], points: int) -> Array:
         return np.array([norm.cdf(values["x"] - 5.0)])
@@ -495,24 +435,6 @@ def test_a_required_value_is_where_the_probability_last_exceeds_its_target() -> 
     assert 0.4 < least_value(grid, P, 0.2) < 0.6
     assert math.isnan(least_value(grid, P, 0.005))
     assert least_value(grid, P, 0.6) == 0.0
-
-
-def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:
-    space = _normal_space()
-    rng = np.random.default_rng(0)
-
-    def standardised(X: Array) -> Array:
-        return (X[:, 0] - 1.3) / 0.2
-
-    plan = plan_strata(standardised, space, 250, rng)
-    assert plan is not None
-    assert plan.probability == pytest.approx(norm.sf(1.3), rel=0.05)
-    half = plan.expected_half_width(0.95, rng)
-    assert 0.0 < half < 1.96 * math.sqrt(0.0968 * 0.9032 / 250)
-
-
-def _normal_space() -> DesignSpace:
-    return DesignSpace((Parameter("u", -9.0, 9.0, "", "normal", 0.0, 1.0), Parameter("v", 0.0, 1.0)))
 
 
 def test_a_question_without_uncertain_variables_is_refused(run: Run) -> None:

@@ -15,8 +15,7 @@ from activefail.campaign.hazard import Hazard, hazard_of
 from activefail.errors import InputError
 from activefail.risk.design.design_task import Requirement, read_targets
 from activefail.risk.design.risk_target import at_risk, pulses_of_curve
-from activefail.risk.fragility.curve import Curve, Ladder
-from activefail.risk.fragility.rates import risk_of
+from activefail.risk.fragility.curve import Curve, Ladder, risk_of
 from activefail.space import Array
 from activefail.weighted import WeightedRows
 
@@ -62,7 +61,7 @@ def test_the_risk_is_the_integral_of_a_fragility_over_the_curve(median: float, d
     site, (requirement,), rate = at_risk(hazard(), [Requirement("failure", 0.01, 50.0)])
     assert site.rows is not None
     P = share(site.rows, norm.cdf(np.log(site.rows.column("PGV") / median) / dispersion))
-    assert rate.risk(P) == pytest.approx(expected.in_50_years, rel=0.02)
+    assert rate.risk(P) == pytest.approx(expected.probability, rel=0.02)
     assert rate.risk(requirement.target) == pytest.approx(0.01)
 
 
@@ -119,7 +118,7 @@ def test_added_uncertainty_raises_the_risk_as_the_wider_fragility_does() -> None
     ladder = Ladder("PGV", "m/s", np.geomspace(VELOCITIES[0], 20.0, 800), is_log=True)
     wider = Curve(ladder, norm.cdf(np.log(ladder.levels / median) / math.hypot(dispersion, added)), 0.001)
     expected = risk_of(wider, np.array(VELOCITIES), np.array(RATES))
-    assert rate.risk(P) == pytest.approx(expected.in_50_years, rel=0.03)
+    assert rate.risk(P) == pytest.approx(expected.probability, rel=0.03)
 
 
 def test_targets_in_years_are_read() -> None:

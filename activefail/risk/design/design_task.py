@@ -22,6 +22,9 @@ RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
 DEFAULT_FREE = "D_tot"
 """The variable of a bearing that is made as small as possible."""
 
+BEARING_PERIOD = "T_b"
+"""Variable of a bearing that gives the stiffness of its lateral force."""
+
 SIMULATIONS = 1000
 """Maximum number of fresh simulations for each target, by default."""
 
@@ -121,10 +124,6 @@ class DesignTask:
         """Points that integrate a probability: enough for the smallest target, a power of two."""
         least = min(requirement.target for requirement in self.requirements)
         return max(POINTS, 1 << math.ceil(math.log2(_POINTS_BEYOND / least)))
-
-    def of_bound(self, look: int) -> float:
-        """Confidence of the upper bound of a look, from 0 on; all looks together keep `confidence`."""
-        return confidence_of_bound(self.confidence, look)
 
     def simulations_of(self, look: int) -> int:
         """Fresh simulations of a look, from 0 on, for each requirement."""
@@ -227,14 +226,16 @@ def design_task(
             )
     if set(question.space.names) <= set(names):
         raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
-    ranges = {one.name: (one.low, one.high) for one in space.parameters}
-    low, high = ({name: ranges[name][side] for name in names} for side in (0, 1))
-    price, text = _cost(cost, names, {**space.fixed, **question.fixed}, low, high)
+    ranges = {one.name: one for one in space.parameters}
+    low, high = {name: ranges[name].low for name in names}, {name: ranges[name].high for name in names}
+    price, text = _cost(cost, names, {**space.fixed, **question.fixed})
+    for side in (low, high):
+        price(side)
     return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate)
 
 
 def _cost(
-    text: str, free: Sequence[str], fixed: Mapping[str, float], low: Mapping[str, float], high: Mapping[str, float]
+    text: str, free: Sequence[str], fixed: Mapping[str, float]
 ) -> tuple[Callable[[Mapping[str, float]], float], str]:
     """The cost as a function of the free variables' values, and in words."""
     if not text:
@@ -254,6 +255,4 @@ def _cost(
             raise InputError(f"cost: must be finite, got {value} at {at}.")
         return value
 
-    for side in (low, high):
-        cost(side)
     return cost, text

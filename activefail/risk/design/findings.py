@@ -1,28 +1,28 @@
 """What a search for a design found, in numbers and words."""
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
-from activefail.campaign.question import Outside
+from activefail.campaign.question import Outside, Question
 from activefail.findings.lines import titled
-from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.design.design_task import LOOKS, Rate
-from activefail.risk.design.required_chart import RequiredChart
-from activefail.risk.design.search import WORTH, Designed
+from activefail.json_text import json_values
+from activefail.progress import Stage
+from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS, confidence_of_bound
+from activefail.risk.design.required_chart import RequiredChart, chart_of
+from activefail.risk.design.search import WORTH, Designed, costs_of
 from activefail.shares import bounds_percent, percent
 from activefail.simulators.bearing import limits_of, terms_of
+from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
 
 OUT_OF_REACH = 3
 """Exit code if no design was shown to meet its targets."""
-
-BEARING_PERIOD = "T_b"
-"""Variable of a bearing that gives the stiffness of its lateral force."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,8 @@ class DesignFindings:
             empty without such bounds.
         at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
             without interval; empty unless the targets are risks in a number of years.
+        costs: by confidence, the value of the first free variable that it would take, the others held; NaN if out of
+            range; empty if out of reach.
         chart: values that targets require; None if it was not asked for.
     """
 
@@ -43,7 +45,38 @@ class DesignFindings:
     outside: Outside
     at_upper: tuple[float, ...] = ()
     at_least: tuple[float, ...] = ()
+    costs: Mapping[float, float] = field(default_factory=dict)
     chart: RequiredChart | None = None
+
+    @classmethod
+    def of(cls, estimator: Estimator, designed: Designed, with_chart: bool, stage: Stage) -> Self:
+        """The findings of a search, with what stands beside the design.
+
+        Args:
+            estimator: with which it was made.
+            designed: its result.
+            with_chart: whether the chart of required values is wanted.
+            stage: called with each stage of the work.
+        """
+        task, costs = designed.task, dict[float, float]()
+        if designed.status != "out of reach":
+            stage(f"computing {task.free[0]} at other confidences")
+            costs = costs_of(estimator, designed)
+        chart = chart_of(estimator, task, designed.values, stage) if with_chart else None
+
+        def probabilities(under: Question) -> tuple[float, ...]:
+            return tuple(estimator.probability(one.outcome, under) for one in task.requirements)
+
+        hazard = task.asked.hazard
+        at_upper, at_least = tuple[float, ...](), tuple[float, ...]()
+        if hazard is not None:
+            at_design = task.asked.at(designed.values)
+            if (upper := hazard.at_bound("upper")).factors:
+                at_upper = probabilities(at_design.under(upper))
+            if task.rate is not None:
+                at_least = probabilities(at_design.under(hazard, task.rate.velocity))
+        outside = designed.question.outside(task.asked.campaign.space)
+        return cls(designed, outside, at_upper, at_least, costs, chart)
 
     @property
     def campaign(self) -> Campaign:
@@ -87,15 +120,18 @@ class DesignFindings:
     @property
     def friction(self) -> str:
         """The friction of `lateral_force` and `terms`, in words."""
-        upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
-        return "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
+        if FRICTION in self._upper:
+            return "at the upper bound of friction"
+        return "at the given friction (the hazard has no upper bound)"
+
+    @property
+    def _upper(self) -> dict[str, float]:
+        return self.hazard.at_bound("upper").factors if self.hazard else {}
 
     @property
     def _at_upper_friction(self) -> dict[str, float]:
         known = {**self.campaign.space.fixed, **self.bearing}
-        if self.hazard is not None and FRICTION in known:
-            known[FRICTION] *= self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
-        return known
+        return {name: value * self._upper.get(name, 1.0) for name, value in known.items()}
 
     @property
     def assumptions(self) -> list[str]:
@@ -122,11 +158,11 @@ class DesignFindings:
             f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design space, "
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
         )
+        errors = [1.0 - confidence_of_bound(task.confidence, look) for look in range(len(LOOKS))]
         sentences.append(
             "Free variables stay within the campaign's ranges. A look is a round of verification. A result is wrong "
             f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: "
-            + " and ".join(f"{100.0 * (1.0 - task.of_bound(look)):.3g} %" for look in range(len(LOOKS)))
-            + "."
+            f"{' and '.join(f'{100.0 * error:.3g} %' for error in errors)}."
         )
         kind = "small" if task.cost_text == task.free[0] else "cheap"
         candidate = self.designed.result.candidate
@@ -206,58 +242,67 @@ class DesignFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        designed, task, result = self.designed, self.designed.task, self.designed.result
+        designed, task, result, rate = self.designed, self.designed.task, self.designed.result, self.designed.task.rate
+        parts = zip(task.requirements, result.estimates, result.candidate.model.tolist(), strict=True)
         requirements = [
             {
                 "outcome": one.outcome,
                 "target": one.target,
                 **estimate.numbers,
                 "classifier_probability": model,
-                "risk": task.rate and _risk_json(task.rate, one.target, estimate),
+                "risk": rate
+                and {
+                    "years": rate.years,
+                    "target": rate.risk(one.target),
+                    "risk": rate.risk(estimate.probability),
+                    "low": rate.risk(estimate.low),
+                    "high": rate.risk(estimate.high),
+                    "annual_rate_of_pulses": rate.annual,
+                    "least_pgv_m_s": rate.velocity,
+                },
             }
-            for one, estimate, model in zip(
-                task.requirements, result.estimates, result.candidate.model.tolist(), strict=True
-            )
+            for one, estimate, model in parts
         ]
-        return {
-            "status": designed.status,
-            "bearing": self.bearing,
-            "free": {name: [task.low[name], task.high[name]] for name in task.free},
-            "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
-            **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
-            "confidence": task.confidence,
-            "simulations": designed.simulations,
-            "requirements": requirements,
-            "confidence_of_each_bound": result.of_bound,
-            "look": designed.number,
-            "looks": [
-                {
-                    "values": dict(look.candidate.values),
-                    "classifier_probability": look.candidate.model.tolist(),
-                    "confidence_of_each_bound": look.of_bound,
-                    "estimates": [estimate.numbers for estimate in look.estimates],
-                }
-                for look in designed.looks
-            ],
-            "contradictions_where_sure": result.surprising,
-            "could_fail_unseen": designed.missable,
-            "at_limit_of_range": designed.at_limit,
-            "first_free_variable_by_confidence": {
-                f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
-            },
-            "lateral_force_over_weight": self.lateral_force,
-            "terms": self.terms and self.terms.as_json(),
-            "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
-            "classifier_probability_at_least_velocity": list(self.at_least) or None,
-            "uncertain": self.uncertain,
-            "question": designed.question.title,
-            "outside_design_space": self.outside.share,
-            "ranges_to_widen_to": [
-                {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
-            ],
-            "assumptions": self.assumptions,
-            "chart": self.chart and self.chart.as_json(),
-        }
+        looks = [
+            {
+                "values": look.candidate.values,
+                "classifier_probability": look.candidate.model,
+                "confidence_of_each_bound": look.of_bound,
+                "estimates": [estimate.numbers for estimate in look.estimates],
+            }
+            for look in designed.looks
+        ]
+        return json_values(
+            {
+                "status": designed.status,
+                "bearing": self.bearing,
+                "free": {name: [task.low[name], task.high[name]] for name in task.free},
+                "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
+                **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
+                "confidence": task.confidence,
+                "simulations": designed.simulations,
+                "requirements": requirements,
+                "confidence_of_each_bound": result.of_bound,
+                "look": designed.number,
+                "looks": looks,
+                "contradictions_where_sure": result.surprising,
+                "could_fail_unseen": designed.missable,
+                "at_limit_of_range": designed.at_limit,
+                "first_free_variable_by_confidence": {f"{of:g}": value for of, value in self.costs.items()},
+                "lateral_force_over_weight": self.lateral_force,
+                "terms": self.terms and self.terms.as_json(),
+                "classifier_probability_at_upper_bounds": self.at_upper or None,
+                "classifier_probability_at_least_velocity": self.at_least or None,
+                "uncertain": self.uncertain,
+                "question": designed.question.title,
+                "outside_design_space": self.outside.share,
+                "ranges_to_widen_to": [
+                    {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
+                ],
+                "assumptions": self.assumptions,
+                "chart": self.chart and self.chart.numbers,
+            }
+        )
 
     @property
     def exit_code(self) -> int:
@@ -308,10 +353,10 @@ class DesignFindings:
         if task.cost_text != first:
             rows.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
         rows += [("limit", f"{name} is at the {side} end of its range") for name, side in designed.at_limit.items()]
-        if designed.costs:
+        if self.costs:
             shown = ", ".join(
                 f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
-                for confidence, value in designed.costs.items()
+                for confidence, value in self.costs.items()
             )
             rows.append(
                 ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
@@ -326,15 +371,3 @@ class DesignFindings:
                 ("upper", f"{event} at the upper property bounds: {percent(share, 2)} (classifier, no interval)")
             )
         return rows + [("note", sentence) for sentence in self.assumptions]
-
-
-def _risk_json(rate: Rate, target: float, estimate: ProbabilityEstimate) -> dict[str, Any]:
-    return {
-        "years": rate.years,
-        "target": rate.risk(target),
-        "risk": rate.risk(estimate.probability),
-        "low": rate.risk(estimate.low),
-        "high": rate.risk(estimate.high),
-        "annual_rate_of_pulses": rate.annual,
-        "least_pgv_m_s": rate.velocity,
-    }

@@ -6,17 +6,22 @@ from typing import Any
 
 import numpy as np
 
+from activefail.campaign.hazard import FRICTION
 from activefail.progress import Stage, silent
 from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.design.design_task import DesignTask
+from activefail.risk.design.design_task import BEARING_PERIOD, RISK_CATEGORIES, DesignTask
 from activefail.space import Array
+from activefail.verification.probability_estimator import Estimator
 
 _POINTS = 256
 """Least points of an integral of the chart: its lines are read off by eye."""
 
-_ALONG = 11
-"""Values of the required variable."""
+_ALONG, _ACROSS, _LINES = 11, 6, 3
+"""Values of the required variable, of the axis and of the lines."""
+
+_MIDDLE = (0.1, 0.9)
+"""Shares of a range between which the values of the lines lie."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +37,47 @@ class RequiredChart:
     outcome: str  # that has them
     required: Array  # (t, m, n) value of the required variable; NaN where none of its range meets the target
 
-    def as_json(self) -> dict[str, Any]:
-        """The chart as JSON values."""
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What `--json` shows of it."""
         return {
             "required": self.name,
-            "across": {"name": self.across, "values": self.x.tolist()},
-            "lines": {"name": self.lines, "values": self.values.tolist()},
-            "targets": self.targets.tolist(),
+            "across": {"name": self.across, "values": self.x},
+            "lines": {"name": self.lines, "values": self.values},
+            "targets": self.targets,
             "outcome": self.outcome,
-            "values": np.where(np.isnan(self.required), np.array(None), self.required).tolist(),
+            "values": self.required,
             "interval": None,
             "reason": "the classifier's values, without simulation",
         }
+
+
+def chart_of(
+    estimator: Estimator, task: DesignTask, held: Mapping[str, float], stage: Stage = silent
+) -> RequiredChart | None:
+    """The chart of the required first free variable against two others; None if there are no two others.
+
+    Args:
+        estimator: has the classifier; nothing is simulated.
+        task: what a design must meet.
+        held: values of the other free variables.
+        stage: called with each stage of the work.
+    """
+    space, fixed = estimator.campaign.space, {**task.question.fixed, **held}
+    certain = [name for name in space.names if name in fixed and name != task.free[0]]
+    # The most informative ones of a bearing first.
+    names = sorted(certain, key=lambda name: (name != BEARING_PERIOD, name != FRICTION, name not in task.free))
+    if len(names) < 2:
+        return None
+    across, lines = (next(one for one in space.parameters if one.name == name) for name in names[:2])
+    x = np.linspace(across.low, across.high, _ACROSS)
+    low, high = (lines.low + share * (lines.high - lines.low) for share in _MIDDLE)
+    values = np.unique(np.append(np.linspace(low, high, _LINES), fixed[lines.name]))
+    one = task.requirements[0]
+    of_categories = list(RISK_CATEGORIES.values()) if one.target in RISK_CATEGORIES.values() else []
+    targets = np.array(sorted({one.target, *of_categories}, reverse=True))
+    standardised = estimator.standardised(one.outcome)
+    return required_chart(task, held, standardised, (across.name, x), (lines.name, values), targets, stage)
 
 
 def required_chart(

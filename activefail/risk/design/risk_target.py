@@ -13,7 +13,7 @@ from activefail.campaign.pulse_table import velocities as velocities_of
 from activefail.campaign.question import PERIOD, PGV
 from activefail.errors import InputError
 from activefail.risk.design.design_task import LEAST_TARGET, Rate, Requirement
-from activefail.risk.fragility.rates import exceedance
+from activefail.risk.fragility.curve import exceedance
 from activefail.space import Array
 from activefail.weighted import BLOCKS, WeightedRows, weighted_quantiles
 

@@ -11,9 +11,8 @@ import numpy as np
 from activefail.campaign.question import Question
 from activefail.progress import Stage, silent
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.design.design_task import LOOKS, DesignTask
+from activefail.risk.design.design_task import LOOKS, DesignTask, confidence_of_bound
 from activefail.space import Array
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import Estimator, Sampled
@@ -104,9 +103,6 @@ def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float])
     return meets and not any(estimate.surprising for estimate in estimates)
 
 
-Status = Literal["verified", "not verified", "out of reach"]
-
-
 @dataclass(frozen=True, eq=False)
 class Designed:
     """The result of a search for a design.
@@ -118,14 +114,12 @@ class Designed:
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
             classifier where it was sure; "out of reach" if simulations show that the nearest design under the
             classifier exceeds a target.
-        costs: confidence -> value of the first free variable that it would take, the others held; NaN if out of range.
     """
 
     task: DesignTask
     looks: tuple[Look, ...]
     number: int
-    status: Status
-    costs: Mapping[float, float]
+    status: Literal["verified", "not verified", "out of reach"]
 
     @property
     def result(self) -> Look:
@@ -177,8 +171,9 @@ Model = Callable[[Mapping[str, float], int], Array]
 """The classifier's probability of each requirement's outcome, (r,), at values of the free variables, by some points."""
 
 
-def _model_of(task: DesignTask, standardised: Sequence[Standardised]) -> Model:
+def _model_of(estimator: Estimator, task: DesignTask) -> Model:
     known: dict[tuple[object, ...], Array] = {}
+    standardised = [estimator.standardised(one.outcome) for one in task.requirements]
 
     def model(values: Mapping[str, float], points: int) -> Array:
         key = (*values.items(), points)
@@ -190,7 +185,7 @@ def _model_of(task: DesignTask, standardised: Sequence[Standardised]) -> Model:
     return model
 
 
-def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent, with_costs: bool = True) -> Designed:
+def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -> Designed:
     """Find the cheapest design that meets its targets, and verify it.
 
     The classifier proposes a design whose probabilities lie below the targets, by as much as the verification needs.
@@ -198,34 +193,27 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent, w
     smaller and is looked at with fresh simulations of its own: those that chose a design never verify it. The looks
     share the probability of a false result. The search ends when they are spent, or when a design is verified and the
     next proposal would be cheaper by less than `WORTH`. The cheapest verified design is the result.
-
-    `with_costs` also computes what other confidences would cost.
     """
-    model = _model_of(task, [estimator.standardised(one.outcome) for one in task.requirements])
+    model = _model_of(estimator, task)
+    looks: list[Look] = []
+    verified: list[tuple[float, int]] = []
 
-    def exactly(candidate: Candidate) -> Candidate:
-        """A candidate with its probabilities as every other place shows them, not as the search's points gave them."""
-        question = task.question.at(candidate.values)
-        model = [estimator.probability(one.outcome, question) for one in task.requirements]
-        return replace(candidate, model=np.array(model))
-
-    def half_widths() -> Array:
-        """Expected half widths of the intervals of the next look, (r,)."""
-        confidence, simulations = 2.0 * task.of_bound(len(looks)) - 1.0, task.simulations_of(len(looks))
+    def half_widths(number: int) -> Array:
+        """Expected half widths of the intervals of a look, (r,)."""
+        confidence = 2.0 * confidence_of_bound(task.confidence, number) - 1.0
+        simulations = task.simulations_of(number)
         if looks:
             # What the last look showed; the classifier would only say how unsure it is.
-            ratio = math.sqrt(task.simulations_of(len(looks) - 1) / simulations)
+            ratio = math.sqrt(task.simulations_of(number - 1) / simulations)
             estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
         question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
         plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
 
-    looks: list[Look] = []
-    verified: list[tuple[float, int]] = []
     for number in range(len(LOOKS)):
         stage(f"searching for the design of look {number + 1}")
-        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(), _LEAST_AIM * task.targets)
+        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(number), _LEAST_AIM * task.targets)
         if looks:
             found = np.array([estimate.probability for estimate in looks[-1].estimates])
             aims = _corrected(aims, looks[-1].candidate.model, found)
@@ -234,12 +222,14 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent, w
             least = min(verified)[0]
             if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
                 break
-        candidate = exactly(candidate)
-        simulations = task.simulations_of(number)
+        question, simulations = task.question.at(candidate.values), task.simulations_of(number)
+        # As every other place shows them, not as the search's points gave them.
+        exact = np.array([estimator.probability(one.outcome, question) for one in task.requirements])
+        candidate = replace(candidate, model=exact)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        question = task.question.at(candidate.values).drawn(number + 1)
-        sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
-        look = Look(candidate, sampled, task.of_bound(number))
+        draw = question.drawn(number + 1)
+        sampled = tuple(estimator.sample(one.outcome, simulations, draw) for one in task.requirements)
+        look = Look(candidate, sampled, confidence_of_bound(task.confidence, number))
         looks.append(look)
         if verifies(look.estimates, task.targets.tolist()):
             verified.append((task.cost(candidate.values), number + 1))
@@ -250,13 +240,10 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent, w
         if not candidate.is_feasible and any(
             estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
         ):
-            return Designed(task, tuple(looks), number + 1, "out of reach", {})
-    status: Status = "verified" if verified else "not verified"
-    designed = Designed(task, tuple(looks), min(verified)[1] if verified else len(looks), status, {})
-    if not with_costs:
-        return designed
-    stage(f"computing {task.free[0]} at other confidences")
-    return replace(designed, costs=_costs(task, model, designed.result))
+            return Designed(task, tuple(looks), number + 1, "out of reach")
+    if verified:
+        return Designed(task, tuple(looks), min(verified)[1], "verified")
+    return Designed(task, tuple(looks), len(looks), "not verified")
 
 
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
@@ -271,13 +258,13 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
     return np.where(found < model, aims + model - found, aims * model / np.maximum(found, _LEAST))
 
 
-def _costs(task: DesignTask, model: Model, look: Look) -> dict[float, float]:
-    """The value of the first free variable that each confidence would take, the others held."""
-    costs = {}
+def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
+    """By confidence, the value of the first free variable that it would take, the others held; NaN if out of range."""
+    task, look, costs = designed.task, designed.result, {}
+    model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
     for confidence in _CONFIDENCES:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
-        goals = _corrected(task.targets, look.candidate.model, highs)
-        candidate = _on_line(task, model, {name: look.candidate.values[name] for name in task.free[1:]}, goals)
+        candidate = _on_line(task, model, held, _corrected(task.targets, look.candidate.model, highs))
         costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
     return costs
 
@@ -298,14 +285,11 @@ def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
     low, high = (np.array([side[name] for name in others]) for side in (task.low, task.high))
     seen: list[tuple[bool, float, dict[str, float], Array]] = []
 
-    def excess(candidate: Candidate) -> float:
-        return float(np.max(np.log(np.maximum(candidate.model, _LEAST) / aims)))
-
     def price(u: Array) -> float:
         u = np.clip(u, 0.0, 1.0)
         held = dict(zip(others, (low + u * (high - low)).tolist(), strict=True))
         candidate = _on_line(task, model, held, aims, coarse=True)
-        value = task.cost(candidate.values) if candidate.is_feasible else excess(candidate)
+        value = task.cost(candidate.values) if candidate.is_feasible else _excess(candidate.model, aims)
         seen.append((not candidate.is_feasible, value, held, u))
         # For the simplex alone: any feasible design is better than all others.
         return value / scale if candidate.is_feasible else 1e9 * (1.0 + value)
@@ -337,7 +321,12 @@ def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
             return fine[-1]
         if len(fine) == _FINE_LINES:
             break
-    return min(fine, key=excess)
+    return min(fine, key=lambda one: _excess(one.model, aims))
+
+
+def _excess(model: Array, aims: Array) -> float:
+    """Largest logarithm of a probability over its aim."""
+    return float(np.max(np.log(np.maximum(model, _LEAST) / aims)))
 
 
 def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Array, coarse: bool = False) -> Candidate:
@@ -352,8 +341,7 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
         return model({name: x, **held}, points)
 
     def excess(x: float) -> float:
-        """Largest logarithm of a probability over its aim."""
-        return float(np.max(np.log(np.maximum(probabilities(x), _LEAST) / aims)))
+        return _excess(probabilities(x), aims)
 
     def cost(x: float) -> float:
         return task.cost({name: x, **held})

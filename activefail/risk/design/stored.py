@@ -1,14 +1,12 @@
 """Verified designs whose fresh simulations are in the record: where to find them, and reading them again."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from activefail.campaign.question import Question
 from activefail.record.store import Store
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.design.design_task import LOOKS, Requirement, confidence_of_bound
+from activefail.risk.design.design_task import Requirement, confidence_of_bound
 from activefail.risk.design.search import Designed, verifies
 from activefail.verification.probability_estimator import Estimator
 
@@ -33,17 +31,18 @@ def remember_design(store: Store, designed: Designed) -> None:
     """
     if designed.status != "verified" or designed.task.rate is not None:
         return
-    entries = _entries(store)
-    for one in designed.task.requirements:
-        entry = {
+    new = [
+        {
             "outcome": one.outcome,
             "target": one.target,
             "free": {name: float(value) for name, value in designed.values.items()},
             "look": designed.number,
             "confidence": designed.task.confidence,
         }
-        entries = [*(other for other in entries if other != entry), entry]
-    store.remember(_IDENTITY, entries)
+        for one in designed.task.requirements
+    ]
+    former = store.recall(_IDENTITY) or []
+    store.remember(_IDENTITY, [*(entry for entry in former if entry not in new), *new])
 
 
 def stored_designs(
@@ -61,7 +60,7 @@ def stored_designs(
     """
     designs = []
     for requirement in requirements:
-        for entry in reversed(_entries(estimator.store)):
+        for entry in reversed(estimator.store.recall(_IDENTITY) or []):
             if (entry["outcome"], entry["target"]) != requirement[:2] or entry["free"].keys() != {free}:
                 continue
             at_design = question.at(entry["free"])
@@ -71,19 +70,3 @@ def stored_designs(
                 designs.append(StoredDesign(requirement, dict(at_design.fixed), estimate, entry["confidence"]))
                 break
     return designs
-
-
-def _entries(store: Store) -> list[dict[str, Any]]:
-    """The verified designs; those that `remember_design` did not write are left out."""
-    saved = store.recall(_IDENTITY)
-    return [entry for entry in saved if _is_entry(entry)] if isinstance(saved, list) else []
-
-
-def _is_entry(entry: Any) -> bool:
-    if not isinstance(entry, dict) or entry.keys() != {"outcome", "target", "free", "look", "confidence"}:
-        return False
-    free, numbers = entry["free"], [entry["target"], entry["confidence"]]
-    if not isinstance(free, dict) or not isinstance(entry["outcome"], str) or type(entry["look"]) is not int:
-        return False
-    is_numeric = all(type(value) is float and math.isfinite(value) for value in (*numbers, *free.values()))
-    return is_numeric and 0.5 <= entry["confidence"] < 1.0 and 1 <= entry["look"] <= len(LOOKS)

@@ -1,6 +1,6 @@
 """Levels of a curve that fresh simulations verify, and what they say about its capacities."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -39,10 +39,11 @@ class VerifiedLevel(NamedTuple):
 class Interval(NamedTuple):
     """What a verified band says about a capacity; None where it is unknown, for a reason."""
 
-    middle: float | None = None  # where the corrected curve first exceeds the probability
+    verified: float | None = None  # where the corrected curve first exceeds the probability
     low: float | None = None  # where the ends of the band do
     high: float | None = None
-    reason: str = ""
+    confidence: float | None = None  # of the band at each level
+    interval_reason: str | None = None
 
 
 NOT_VERIFIED = "not verified by simulations; --verify N gives an interval"
@@ -81,10 +82,14 @@ def as_rows(question: Question) -> Question:
     return replace(question, space=WeightedRows(distribution.names, X, np.ones(len(X)), is_sample=True), is_own=False)
 
 
+QuestionAt = Callable[[float], Question]
+"""The question at a level."""
+
+
 def verify(
     curve: Curve,
     simulations: int,
-    question_at_level: Callable[[float], Question],
+    question_at_level: QuestionAt,
     estimate: Callable[[Question, int], ProbabilityEstimate],
 ) -> tuple[VerifiedLevel, ...]:
     """Verify a curve at several levels by fresh simulations.
@@ -95,16 +100,13 @@ def verify(
         question_at_level: the question at a level.
         estimate: the estimate of a question from so many fresh simulations.
     """
-    levels = []
-    for place, (level, size) in enumerate(levels_to_verify(curve, simulations)):
-        levels.append(VerifiedLevel(level, estimate(as_rows(question_at_level(level)).drawn(place + 1), size)))
-    return tuple(levels)
+    levels, sizes = zip(*levels_to_verify(curve, simulations), strict=True)
+    questions = _drawn(levels, question_at_level)
+    return tuple(VerifiedLevel(level, estimate(one, n)) for (level, one), n in zip(questions, sizes, strict=True))
 
 
 def stored(
-    curve: Curve,
-    question_at_level: Callable[[float], Question],
-    estimate: Callable[[Question], ProbabilityEstimate | None],
+    curve: Curve, question_at_level: QuestionAt, estimate: Callable[[Question], ProbabilityEstimate | None]
 ) -> tuple[VerifiedLevel, ...]:
     """The levels that `verify` has verified before, from stored simulations; of several, the most levels.
 
@@ -114,14 +116,19 @@ def stored(
     """
     for count in range(len(_TARGETS), 1, -1):
         levels = []
-        for place, level in enumerate(sorted(_levels(curve, count), reverse=not curve.rises)):
-            verified = estimate(as_rows(question_at_level(level)).drawn(place + 1))
-            if verified is None:
+        for level, question in _drawn(sorted(_levels(curve, count), reverse=not curve.rises), question_at_level):
+            if (verified := estimate(question)) is None:
                 break
             levels.append(VerifiedLevel(level, verified))
         else:
             return tuple(levels)
     return ()
+
+
+def _drawn(levels: Sequence[float], question_at_level: QuestionAt) -> Iterator[tuple[float, Question]]:
+    """The levels with the questions that verify them, each of which has pulses of its own."""
+    for draw, level in enumerate(levels, start=1):
+        yield level, as_rows(question_at_level(level)).drawn(draw)
 
 
 def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: float) -> Interval:
@@ -136,9 +143,10 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
         p: the probability of the capacity.
     """
     if not verified:
-        return Interval(reason=NOT_VERIFIED)
+        return Interval(interval_reason=NOT_VERIFIED)
+    confidence = verified[0].estimate.confidence
     if len(verified) < 2:
-        return Interval(reason="only one level was verified")
+        return Interval(confidence=confidence, interval_reason="only one level was verified")
     coordinates = curve.ladder.coordinate(np.array([one.level for one in verified]))
     between = np.unique(np.concatenate([np.linspace(coordinates[0], coordinates[-1], _STEPS), coordinates]))
     along = between if curve.rises else between[::-1]
@@ -155,8 +163,8 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
     middle = first([one.estimate.probability for one in verified])
     ends = [first([getattr(one.estimate, end) for one in verified]) for end in ("high", "low")]
     low, high = ends if curve.rises else ends[::-1]
-    reason = ""
+    reason = None
     if low is None or high is None:
         least, most = sorted((verified[0].level, verified[-1].level))
         reason = f"the verified levels end at {least:.3g} and {most:.3g}, before the band reaches this probability"
-    return Interval(middle, low, high, reason)
+    return Interval(middle, low, high, confidence, reason)

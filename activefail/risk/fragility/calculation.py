@@ -1,7 +1,7 @@
 """The fragility of a bearing under a hazard, or against one variable under a question."""
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,11 +10,10 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.progress import Stage, silent
 from activefail.risk.fragility.band import VerifiedLevel, stored, verify
-from activefail.risk.fragility.curve import Curve, Ladder
+from activefail.risk.fragility.curve import Curve, Ladder, risk_of
 from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
+from activefail.risk.fragility.findings import NO_RATES, BoundaryFragility, FragilityFindings
 from activefail.risk.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
-from activefail.risk.fragility.rates import risk_of
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.verification.probability_estimator import Estimator
 
@@ -58,18 +57,18 @@ def fragility(
         return verify(curve, simulations, at_level, lambda at, n: estimator.sample(of, n, at).estimate(confidence))
 
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
-    curves = curves_on(estimator.boundaries, at_level, ladder, campaign.space)
+    curves, outside, from_outside = curves_on(estimator.boundaries, at_level, ladder, campaign.space)
     outcomes = tuple(campaign.simulator.outcomes)
     fixed = question.fixed if hazard is None else asked.fixed
     findings = FragilityFindings(
         title=question.title,
-        ladder=curves.curves[0].ladder,
+        ladder=curves[0].ladder,
         boundaries=tuple(
             BoundaryFragility(of, curve, verified=verified(of, curve))
-            for of, curve in zip(outcomes[1:], curves.curves, strict=True)
+            for of, curve in zip(outcomes[1:], curves, strict=True)
         ),
-        outside=curves.outside,
-        from_outside=curves.from_outside,
+        outside=outside,
+        from_outside=from_outside,
         fixed=fixed,
         confidence=confidence,
         notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
@@ -84,54 +83,49 @@ def _under_hazard(
 ) -> FragilityFindings:
     """The findings with what a hazard adds: its median, property bounds, pulses and risk."""
     space, boundaries, median = asked.campaign.space, estimator.boundaries, median_intensity(hazard, ladder.name)
-
-    def variant(of: Hazard) -> Callable[[float], Question]:
-        return lambda level: question_at(asked, of, ladder.name, level)
-
-    alone = None
+    rates, alone = hazard.settings.curve, None
     if hazard.added_dispersion > 0.0 or hazard.bias != 0.0:
         stage("evaluating the curves of the pulses alone")
-        alone = curves_on(boundaries, variant(hazard.without_uncertainty()), ladder, space)
+        at_level = partial(question_at, asked, hazard.without_uncertainty(), ladder.name)
+        alone, _, _ = curves_on(boundaries, at_level, ladder, space)
     bounds: tuple[Bound, ...] = ("lower", "nominal", "upper") if hazard.settings.properties else ("nominal",)
     at_bounds = {
-        bound: variant(hazard.at_bound(bound))(median).integral(boundaries, space, RESOLUTION).probability
+        bound: question_at(asked, hazard.at_bound(bound), ladder.name, median)
+        .integral(boundaries, space, RESOLUTION)
+        .probability.tolist()
         for bound in bounds
     }
     stage("finding the pulses that contribute")
     whole = asked.question.integral(boundaries, space).probability
     parts = deaggregated(boundaries, asked.under, hazard, whole)
-    rates, why = hazard.settings.curve, ""
-    if rates is None:
-        why = "the hazard has no curve of annual rates"
-    elif ladder.name != PGV:
-        rates, why = None, "the hazard's annual rates are those of PGV, not of A_p"
+    why = "" if ladder.name == PGV else "the hazard's annual rates are those of PGV, not of A_p"
     outside = asked.question.outside(space)
     return replace(
         findings,
         boundaries=tuple(
             replace(
                 one,
-                alone=alone.curves[column] if alone else None,
-                at_median={bound: float(value[column]) for bound, value in at_bounds.items()},
-                risk=None
-                if rates is None
-                else risk_of(one.curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
+                alone=alone[column] if alone else None,
+                at_median={bound: values[column] for bound, values in at_bounds.items()},
+                risk=risk_of(one.curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate))
+                if rates and not why
+                else None,
                 deaggregation=parts[column],
             )
             for column, one in enumerate(findings.boundaries)
         ),
         median=median,
         outside_hazard=outside.share,
-        why_no_risk=why,
+        why_no_risk=why if rates else NO_RATES,
         notes=(*filter(None, [outside.advice]), *findings.notes),
     )
 
 
 def _notes(asked: Inquiry, name: str) -> list[str]:
     """What the curves are integrated over, as sentences."""
-    space, hazard = asked.question.space, asked.hazard
+    space, hazard, notes = asked.question.space, asked.hazard, list[str]()
     if hazard is None:
-        notes = [f"The curve is integrated over {', '.join(one for one in space.names if one != name)}."]
+        notes.append(f"The curve is integrated over {', '.join(one for one in space.names if one != name)}.")
         pairs = getattr(space, "correlation", ())
         if tied := sorted({one for pair in pairs if name in pair[:2] for one in pair[:2]} - {name}):
             notes.append(
@@ -139,7 +133,6 @@ def _notes(asked: Inquiry, name: str) -> list[str]:
                 f"correlation: the distribution is the same at each {name}."
             )
         return notes
-    notes = []
     if others := [one for one in asked.campaign.space.names if one not in {PERIOD, AMPLITUDE, *asked.fixed}]:
         notes.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
     if name == AMPLITUDE:

@@ -1,12 +1,27 @@
-"""A probability against one variable, on a ladder of levels: its capacities, and where it falls."""
+"""A probability against one variable, on a ladder of levels: its capacities, its lognormal fit, and its risk."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import ndtr
 
 from activefail.shares import percent
 from activefail.space import Array
+
+_LEAST, _MOST = 0.1, 0.5
+"""A curve that stays above the first or below the second has no median to fit."""
+
+_STARTS = (0.1, 0.3, 0.8)
+"""Dispersions from which the fit begins."""
+
+YEARS = 50.0
+"""Years of the stated risk."""
+
+_STEPS = 2000
+"""Steps of the integral."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +52,7 @@ class Capacity(NamedTuple):
     """The level at which a curve first exceeds a probability; if there is none, the reason."""
 
     level: float | None
-    reason: str = ""
+    reason: str | None = None
 
 
 class Fall(NamedTuple):
@@ -109,3 +124,107 @@ class Curve:
             return None
         start = int(np.argmax(values[: end + 1]))
         return Fall(size, self.ladder.level(coordinates[start]), self.ladder.level(coordinates[end]))
+
+
+class Lognormal(NamedTuple):
+    """A lognormal curve beside another curve."""
+
+    median: float
+    dispersion: float  # β, the standard deviation of the level's logarithm
+    largest_misfit: float  # largest difference to the curve at a level of the ladder
+    largest_misfit_at: float  # this level
+    rises: bool
+
+    def at(self, levels: Array | float) -> Array:
+        """Probabilities at levels."""
+        z = np.log(np.asarray(levels) / self.median) / self.dispersion
+        return np.asarray(ndtr(z if self.rises else -z))
+
+
+def why_not_fitted(curve: Curve) -> str:
+    """Why no lognormal curve is fitted; empty if one is."""
+    if curve.ladder.levels[0] <= 0.0:
+        return "some levels of the curve are not positive"
+    if curve.probability.max() < _MOST or curve.probability.min() > _LEAST:
+        return f"the curve does not cover {100.0 * _LEAST:g} % to {100.0 * _MOST:g} %"
+    return ""
+
+
+def fit_lognormal(curve: Curve) -> Lognormal | None:
+    """The lognormal curve with the least integral of the squared difference over the logarithm of the level.
+
+    Returns:
+        None if `why_not_fitted` gives a reason.
+    """
+    if why_not_fitted(curve):
+        return None
+    logarithms, sign = np.log(curve.ladder.levels), 1.0 if curve.rises else -1.0
+    root_width = np.sqrt(np.gradient(logarithms))
+
+    def differences(numbers: Array) -> Array:
+        return np.asarray(ndtr(sign * (logarithms - numbers[0]) * math.exp(-numbers[1])) - curve.probability)
+
+    middle = curve.capacity(_MOST).level or float(curve.ladder.levels[np.argmax(curve.probability)])
+    fits = [
+        least_squares(lambda x: root_width * differences(x), [math.log(middle), math.log(start)]) for start in _STARTS
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    missed = np.abs(differences(best.x))
+    worst = int(np.argmax(missed))
+    return Lognormal(
+        median=math.exp(best.x[0]),
+        dispersion=math.exp(best.x[1]),
+        largest_misfit=float(missed[worst]),
+        largest_misfit_at=float(curve.ladder.levels[worst]),
+        rises=curve.rises,
+    )
+
+
+class Risk(NamedTuple):
+    """The rate of failure λ, and its probability in some years."""
+
+    annual_rate: float  # λ [1/year]
+    years: float  # t
+    probability: float  # of at least one failure in these years, 1 − exp(−t λ)
+    share_outside_hazard_curve: float  # of λ: from intensities where the ends of the hazard's curve are extrapolated
+    share_above_fragility_curve: float  # of λ: from intensities where the last value of the fragility curve holds
+
+
+def exceedance(velocities: Array, rates: Array, levels: Array) -> Array:
+    """Annual rates at which levels are exceeded: linear in logarithms, extrapolated by the end's slope.
+
+    Args:
+        velocities: (m,) of the hazard's curve, increasing.
+        rates: (m,) decreasing.
+        levels: (n,).
+    """
+    x, y, at = np.log(velocities), np.log(rates), np.log(levels)
+    segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    slope = np.diff(y) / np.diff(x)
+    return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
+
+
+def risk_of(curve: Curve, velocities: Array, rates: Array) -> Risk:
+    """The risk: λ = ∫ P(v) |dν(v)| with the annual rate ν(v) of exceedance.
+
+    Args:
+        curve: P(v), against the intensity of the hazard's curve.
+        velocities, rates: the hazard's curve.
+    """
+    low, high = (float(end) for end in np.log(curve.ladder.levels[[0, -1]]))
+    corners = np.log(velocities)
+    corners = corners[(corners > low) & (corners < high)]
+    logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
+    levels = np.exp(logarithms)
+    nu = exceedance(velocities, rates, levels)
+    middle = np.exp(0.5 * (logarithms[1:] + logarithms[:-1]))
+    # Simpson's rule for the probability in each step of the rate.
+    average = (curve.at(levels[:-1]) + 4.0 * curve.at(middle) + curve.at(levels[1:])) / 6.0
+    parts = average * (nu[:-1] - nu[1:])
+    beyond = float(curve.probability[-1] * nu[-1])
+    total = float(parts.sum()) + beyond
+    if total <= 0.0:
+        return Risk(0.0, YEARS, 0.0, 0.0, 0.0)
+    within = (middle >= velocities[0]) & (middle <= velocities[-1])
+    inside = float(parts[within].sum())
+    return Risk(total, YEARS, -math.expm1(-YEARS * total), 1.0 - inside / total, beyond / total)

@@ -30,9 +30,17 @@ _RAREST = 1e-4
 class Percentiles(NamedTuple):
     """The 5th, 50th and 95th percentile."""
 
-    low: float
-    median: float
-    high: float
+    p5: float
+    p50: float
+    p95: float
+
+
+class Share(NamedTuple):
+    """A part of the pulses, in bins of period and velocity."""
+
+    share: Array  # (8, 8) in each bin
+    period: Percentiles  # [s]
+    velocity: Percentiles  # [m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,39 +52,32 @@ class Deaggregation:
     Attributes:
         probability: of failure under the whole hazard.
         period, velocity: (9,) edges of the bins [s] and [m/s]. The outermost bins are open.
-        of_failures: (8, 8) share of the failures in each bin, by period and velocity; None if failure is too rare.
-        of_pulses: (8, 8) share of the pulses.
-        period_of_failures, velocity_of_failures: percentiles; None if failure is too rare.
-        period_of_pulses, velocity_of_pulses: percentiles.
+        pulses: all of them.
+        failures: those that cause failure; None if failure is too rare.
     """
 
     probability: float
     period: Array
     velocity: Array
-    of_failures: Array | None
-    of_pulses: Array
-    period_of_failures: Percentiles | None
-    velocity_of_failures: Percentiles | None
-    period_of_pulses: Percentiles
-    velocity_of_pulses: Percentiles
+    pulses: Share
+    failures: Share | None
 
-    def as_json(self) -> dict[str, Any]:
-        """The deaggregation as JSON values."""
-        percentiles = {
-            "T_p_of_failures_s": self.period_of_failures,
-            "PGV_of_failures_m_s": self.velocity_of_failures,
-            "T_p_of_pulses_s": self.period_of_pulses,
-            "PGV_of_pulses_m_s": self.velocity_of_pulses,
-        }
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What `--json` shows of it."""
+        failures, pulses = self.failures, self.pulses
         return {
             "probability": self.probability,
             "interval": None,
             "interval_reason": "the classifier's number; `activefail probability` with the hazard gives an interval",
-            "T_p_edges_s": self.period.tolist(),
-            "PGV_edges_m_s": self.velocity.tolist(),
-            "share_of_failures": None if self.of_failures is None else self.of_failures.tolist(),
-            "share_of_pulses": self.of_pulses.tolist(),
-            **{name: of and dict(zip(("p5", "p50", "p95"), of, strict=True)) for name, of in percentiles.items()},
+            "T_p_edges_s": self.period,
+            "PGV_edges_m_s": self.velocity,
+            "share_of_failures": failures and failures.share,
+            "share_of_pulses": pulses.share,
+            "T_p_of_failures_s": failures and failures.period,
+            "PGV_of_failures_m_s": failures and failures.velocity,
+            "T_p_of_pulses_s": pulses.period,
+            "PGV_of_pulses_m_s": pulses.velocity,
         }
 
 
@@ -109,28 +110,18 @@ def deaggregated(
 
 
 def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array, probability: float) -> Deaggregation:
-    edges = [_edges(values, weight) for values in (period, velocity)]
-
-    def binned(weights: Array) -> Array:
-        rows = [
-            np.clip(np.searchsorted(edge, values, side="right") - 1, 0, _BINS - 1)
-            for edge, values in zip(edges, (period, velocity), strict=True)
-        ]
-        counts = np.bincount(rows[0] * _BINS + rows[1], weights=weights, minlength=_BINS * _BINS)
-        return np.asarray(counts / weights.sum()).reshape(_BINS, _BINS)
-
-    rare = probability < _RAREST or not part.any()
-    return Deaggregation(
-        probability=probability,
-        period=edges[0],
-        velocity=edges[1],
-        of_failures=None if rare else binned(part),
-        of_pulses=binned(weight),
-        period_of_failures=None if rare else _percentiles(period, part),
-        velocity_of_failures=None if rare else _percentiles(velocity, part),
-        period_of_pulses=_percentiles(period, weight),
-        velocity_of_pulses=_percentiles(velocity, weight),
+    edges = _edges(period, weight), _edges(velocity, weight)
+    row, column = (
+        np.clip(np.searchsorted(edge, values, side="right") - 1, 0, _BINS - 1)
+        for edge, values in zip(edges, (period, velocity), strict=True)
     )
+
+    def share(weights: Array) -> Share:
+        counts = np.bincount(row * _BINS + column, weights=weights, minlength=_BINS * _BINS) / weights.sum()
+        return Share(counts.reshape(_BINS, _BINS), *(_percentiles(values, weights) for values in (period, velocity)))
+
+    is_rare = probability < _RAREST or not part.any()
+    return Deaggregation(probability, *edges, share(weight), None if is_rare else share(part))
 
 
 def _edges(values: Array, weight: Array) -> Array:

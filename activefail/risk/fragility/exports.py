@@ -1,4 +1,4 @@
-"""Fragility curves in the formats of other programs.
+"""The files of fragility curves: tables, and the formats of other programs.
 
 pelicun: a row of a damage database in which each limit state has the family `multilinear_CDF`. Theta_0 holds the levels
 and the probabilities, each separated by commas, with a bar between both. pelicun requires that both increase
@@ -10,17 +10,25 @@ OpenQuake: a fragility model of NRML 0.5 with discrete functions. Its peak groun
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from activefail.csv_table import Target, writing
+from activefail.json_text import json_text
 from activefail.risk.fragility.curve import Ladder
-from activefail.risk.fragility.levels import UNITS
+from activefail.risk.fragility.findings import FragilityFindings
 from activefail.space import Array
 
 PELICUN, OPENQUAKE = "pelicun.csv", "openquake.xml"
 """Names of the files."""
+
+_COMPONENT = "isolation_bearing"
+"""The bearing in other programs."""
 
 _NRML = "http://openquake.org/xmlns/nrml/0.5"
 
@@ -30,22 +38,6 @@ _MEASURES = {"PGV": ("PGV", 100.0), "A_p": ("PGA", 1.0)}
 
 _LEAST, _STEP = 1e-6, 2e-6
 """Least probability that is written, and least difference of two; pelicun keeps six significant digits."""
-
-
-def why_no_exports(ladder: Ladder) -> str:
-    """Why the curves have no exports; empty if they have."""
-    if ladder.name in {name for name, _ in UNITS.values()} and ladder.is_log:
-        return ""
-    return "both programs accept only curves against the intensity of a ground motion"
-
-
-def nested(curves: Mapping[str, Array]) -> dict[str, Array]:
-    """The curves, the least severe outcome first, each at least as high as those of more severe outcomes."""
-    names, higher, nested = list(curves), np.zeros(1), {}
-    for name in reversed(names):
-        higher = np.maximum(higher, curves[name])
-        nested[name] = np.clip(higher, 0.0, 1.0)
-    return {name: nested[name] for name in names}
 
 
 def multilinear(ladder: Ladder, probability: Array) -> str:
@@ -76,7 +68,7 @@ def pelicun_table(ladder: Ladder, curves: Mapping[str, Array], name: str) -> str
     demand, unit = _DEMANDS[ladder.name]
     header = ["ID", "Incomplete", "Demand-Type", "Demand-Unit", "Demand-Offset", "Demand-Directional"]
     row = [name, "0", demand, unit, "0", "1"]
-    for number, curve in enumerate(nested(curves).values(), start=1):
+    for number, curve in enumerate(curves.values(), start=1):
         header += [f"LS{number}-{key}" for key in ("Family", "Theta_0", "Theta_1", "DamageStateWeights")]
         row += ["multilinear_CDF", multilinear(ladder, curve), "", ""]
     text = io.StringIO()
@@ -101,8 +93,69 @@ def openquake_model(ladder: Ladder, curves: Mapping[str, Array], name: str) -> s
     function = ElementTree.SubElement(model, "fragilityFunction", {"id": name, "format": "discrete"})
     levels = ElementTree.SubElement(function, "imls", {"imt": measure})
     levels.text = " ".join(f"{factor * level:.6g}" for level in ladder.levels)
-    for outcome, curve in nested(curves).items():
+    for outcome, curve in curves.items():
         shares = ElementTree.SubElement(function, "poes", {"ls": states[outcome]})
         shares.text = " ".join(f"{share:.6g}" for share in curve)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def files_of(findings: FragilityFindings) -> dict[str, str | Callable[[Path], None]]:
+    """The tables, the findings as JSON, and the curves for pelicun and OpenQuake: texts, or what writes a table.
+
+    Both programs accept only curves against the intensity of a ground motion.
+    """
+    files: dict[str, str | Callable[[Path], None]] = {"fragility.csv": partial(write_curves, findings)}
+    if any(one.deaggregation is not None for one in findings.boundaries):
+        files["deaggregation.csv"] = partial(_write_deaggregation, findings)
+    files["fragility.json"] = json_text(findings.as_json()) + "\n"
+    ladder = findings.ladder
+    if ladder.name in _MEASURES and ladder.is_log:
+        # Each at least as high as those of more severe outcomes, in spite of errors of the integration.
+        nested = np.maximum.accumulate([one.curve.probability for one in reversed(findings.boundaries)])[::-1]
+        curves = {one.outcome: curve for one, curve in zip(findings.boundaries, nested, strict=True)}
+        files[PELICUN] = pelicun_table(ladder, curves, _COMPONENT)
+        files[OPENQUAKE] = openquake_model(ladder, curves, _COMPONENT)
+    return files
+
+
+def write_curves(findings: FragilityFindings, target: Target) -> None:
+    """Write the curves: a row for each level of the ladder and for each verified level.
+
+    Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
+    curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its interval.
+    Cells are empty where there is no number.
+    """
+    levels = [
+        (level, "ladder", outside) for level, outside in zip(findings.ladder.levels, findings.outside, strict=True)
+    ]
+    levels += [(checked.level, "verified", "") for one in findings.boundaries for checked in one.verified]
+    rows = [_row(findings, *level) for level in sorted(levels, key=lambda level: level[:2])]
+    with writing(target, list(rows[0])) as write:
+        write([list(row.values()) for row in rows])
+
+
+def _row(findings: FragilityFindings, level: float, kind: str, outside: float | str) -> dict[str, Any]:
+    row: dict[str, Any] = {findings.ladder.name: float(level), "kind": kind, "outside_design_space": outside}
+    for one in findings.boundaries:
+        name = f"p_{one.outcome}"
+        estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)
+        row[name] = float(one.curve.at(level))
+        row[f"{name}_pulses_alone"] = "" if one.alone is None else float(one.alone.at(level))
+        row[f"{name}_lognormal"] = "" if one.lognormal is None else float(one.lognormal.at(level))
+        row[f"{name}_verified"] = estimate.probability if estimate else ""
+        row[f"{name}_low"] = estimate.low if estimate else ""
+        row[f"{name}_high"] = estimate.high if estimate else ""
+    return row
+
+
+def _write_deaggregation(findings: FragilityFindings, target: Target) -> None:
+    header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
+    with writing(target, header) as write:
+        for one in findings.boundaries:
+            parts = one.deaggregation
+            assert parts is not None
+            for row, column in np.ndindex(parts.pulses.share.shape):
+                edges = [*parts.period[row : row + 2].tolist(), *parts.velocity[column : column + 2].tolist()]
+                of_failures = float(parts.failures.share[row, column]) if parts.failures else ""
+                write([[one.outcome, *edges, of_failures, float(parts.pulses.share[row, column])]])

@@ -9,17 +9,19 @@ import numpy as np
 
 from activefail.bearing.terms import Terms
 from activefail.findings.lines import titled
+from activefail.json_text import json_values, named
 from activefail.risk.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
-from activefail.risk.fragility.curve import Capacity, Curve, Ladder
+from activefail.risk.fragility.curve import Capacity, Curve, Ladder, Lognormal, Risk, fit_lognormal, why_not_fitted
 from activefail.risk.fragility.deaggregation import Deaggregation
-from activefail.risk.fragility.lognormal import Lognormal, fit_lognormal, why_not_fitted
-from activefail.risk.fragility.rates import YEARS, Risk
 from activefail.shares import percent
 from activefail.space import Array
 from activefail.visible import or_worse
 
 CAPACITIES = (0.025, 0.10, 0.50)
 """Probabilities of the reported capacities."""
+
+NO_RATES = "the hazard has no curve of annual rates"
+"""Why there is no risk, which the hazard's assumptions say too."""
 
 WITHOUT_INTERVAL = "the classifier's number, without an interval"
 
@@ -154,84 +156,54 @@ class FragilityFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        return {
-            "question": self.title,
-            "fixed": dict(self.fixed),
-            "variable": {"name": self.ladder.name, "unit": self.ladder.unit, "levels": self.ladder.levels.tolist()},
-            "outside_design_space": self.outside.tolist(),
-            "outside_design_space_of_hazard": self.outside_hazard,
-            "hazard_median": self.median,
-            "outcomes": {one.outcome: self._of_boundary(one) for one in self.boundaries},
-            "assumptions": self.assumptions,
-        }
+        return json_values(
+            {
+                "question": self.title,
+                "fixed": self.fixed,
+                "variable": named(self.ladder, "name", "unit", "levels"),
+                "outside_design_space": self.outside,
+                "outside_design_space_of_hazard": self.outside_hazard,
+                "hazard_median": self.median,
+                "outcomes": {one.outcome: self._numbers(one) for one in self.boundaries},
+                "assumptions": self.assumptions,
+            }
+        )
 
-    def _of_boundary(self, one: BoundaryFragility) -> dict[str, Any]:
-        fall, fit, risk, alone, parts = one.curve.fall, one.lognormal, one.risk, one.alone, one.deaggregation
+    def _numbers(self, one: BoundaryFragility) -> dict[str, Any]:
+        fall, fit, risk, alone, ratio = one.curve.fall, one.lognormal, one.risk, one.alone, self.margin_ratio(one)
         of_curve = "only the verified levels have intervals" if one.verified else NOT_VERIFIED
+        of_fit = "it describes the curve, which is the result"
+        capacities = ((p, *one.capacity(p)) for p in CAPACITIES)
         return {
-            "curve": _without_interval(of_curve, probability=one.curve.probability.tolist()),
+            "curve": _without_interval(of_curve, probability=one.curve.probability),
             "curve_of_pulses_alone": alone
-            and _without_interval(levels=alone.ladder.levels.tolist(), probability=alone.probability.tolist()),
-            "resolution": one.curve.resolution,
-            "rises": one.curve.rises,
+            and _without_interval(levels=alone.ladder.levels, probability=alone.probability),
+            **named(one.curve, "resolution", "rises"),
             "falls": fall and {"by": fall.size, "from": fall.start, "to": fall.end},
-            "capacities": [self._of_capacity(one, p) for p in CAPACITIES],
+            "capacities": [{"probability": p, **at._asdict(), **band._asdict()} for p, at, band in capacities],
             "lognormal": fit
-            and _without_interval(
-                "it describes the curve, which is the result",
-                median=fit.median,
-                dispersion=fit.dispersion,
-                largest_misfit=fit.misfit,
-                largest_misfit_at=fit.misfit_at,
-            ),
+            and _without_interval(of_fit, **named(fit, "median", "dispersion", "largest_misfit", "largest_misfit_at")),
             "lognormal_reason": why_not_fitted(one.curve) or None,
             "verified": [
                 {
-                    "level": level.level,
-                    **level.estimate.numbers,
-                    "confidence": level.estimate.confidence,
-                    "classifier_probability": float(one.curve.at(level.level)),
+                    "level": level,
+                    **estimate.numbers,
+                    "confidence": estimate.confidence,
+                    "classifier_probability": float(one.curve.at(level)),
                 }
-                for level in one.verified
+                for level, estimate in one.verified
             ],
-            "at_hazard_median": one.at_median and _without_interval(probability=dict(one.at_median)),
-            "margin_ratio": self._of_margin_ratio(one),
-            "risk": risk
-            and _without_interval(
-                annual_rate=risk.annual_rate,
-                years=YEARS,
-                probability=risk.in_50_years,
-                share_outside_hazard_curve=risk.outside,
-                share_above_fragility_curve=risk.beyond,
-            ),
+            "at_hazard_median": one.at_median and _without_interval(probability=one.at_median),
+            "margin_ratio": ratio and {"value": ratio, **self._interval_of_ratio(one)},
+            "risk": risk and _without_interval(**risk._asdict()),
             "risk_reason": self.why_no_risk or None,
-            "deaggregation": parts and parts.as_json(),
+            "deaggregation": one.deaggregation and one.deaggregation.numbers,
         }
 
-    def _of_capacity(self, one: BoundaryFragility, p: float) -> dict[str, Any]:
-        capacity, interval = one.capacity(p)
-        return {
-            "probability": p,
-            "level": capacity.level,
-            "reason": capacity.reason or None,
-            "verified": interval.middle,
-            "low": interval.low,
-            "high": interval.high,
-            "confidence": self.confidence if one.verified else None,
-            "interval_reason": interval.reason or None,
-        }
-
-    def _of_margin_ratio(self, one: BoundaryFragility) -> dict[str, Any] | None:
-        if (ratio := self.margin_ratio(one)) is None or self.median is None:
-            return None
+    def _interval_of_ratio(self, one: BoundaryFragility) -> dict[str, Any]:
         _, interval = one.capacity(0.5)
-        return {
-            "value": ratio,
-            "low": None if interval.low is None else interval.low / self.median,
-            "high": None if interval.high is None else interval.high / self.median,
-            "confidence": self.confidence if one.verified else None,
-            "interval_reason": interval.reason or None,
-        }
+        ends = {end: at and self.median and at / self.median for end, at in named(interval, "low", "high").items()}
+        return {**ends, **named(interval, "confidence", "interval_reason")}
 
     def margin_ratio(self, one: BoundaryFragility) -> float | None:
         """The 50 % capacity over the hazard's median; None if either is unknown."""
@@ -255,9 +227,8 @@ def fixed_in_words(findings: FragilityFindings) -> str:
 
 
 def why_no_risk(findings: FragilityFindings) -> str:
-    """Why there is no risk; empty if there is one, or if an assumption says it."""
-    is_noted = any("annual rates" in note for note in findings.notes)
-    return findings.why_no_risk if findings.median is not None and not is_noted else ""
+    """Why there is no risk; empty if there is one, or if an assumption of the hazard says it."""
+    return "" if findings.median is None or findings.why_no_risk == NO_RATES else findings.why_no_risk
 
 
 def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
@@ -270,7 +241,7 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
     else:
         text = (
             f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it differs from the curve by up to "
-            f"{100.0 * fit.misfit:.2g} points, at {fit.misfit_at:.3g}{unit}"
+            f"{100.0 * fit.largest_misfit:.2g} points, at {fit.largest_misfit_at:.3g}{unit}"
         )
         rows.append(("lognormal", text))
     if one.alone is not None:
@@ -293,9 +264,9 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
         rows.append(("hazard", f"at its median of {findings.median:.3g}{unit}: {bounds}{tail}"))
     if one.risk is not None:
         text = (
-            f"{percent(one.risk.in_50_years, 2)} in {YEARS:g} years ({one.risk.annual_rate:.2g} a year); "
-            f"{percent(one.risk.outside)} of the rate comes from velocities outside the hazard curve, where the curve "
-            "is extrapolated"
+            f"{percent(one.risk.probability, 2)} in {one.risk.years:g} years ({one.risk.annual_rate:.2g} a year); "
+            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from velocities outside the hazard "
+            "curve, where the curve is extrapolated"
         )
         rows.append(("risk", text))
     for level in one.verified:
@@ -315,31 +286,29 @@ def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
     if capacity.level is None:
         return f"none: {capacity.reason}"
     shown = f"{capacity.level:.3g}{unit}"
-    if interval.low is None and interval.high is None:
-        return shown
-    if interval.low is not None and interval.high is not None:
-        ends = f"interval {interval.low:.3g} to {interval.high:.3g}"
-    elif interval.high is not None:
-        ends = f"interval up to {interval.high:.3g}, the lower end is unknown"
-    else:
-        ends = f"interval from {interval.low:.3g}, the upper end is unknown"
-    unknown = f" ({interval.reason})" if interval.reason else ""
-    middle = "" if interval.middle is None else f"; {interval.middle:.3g} after correction by the simulations"
+    match interval.low, interval.high:
+        case None, None:
+            return shown
+        case None, high:
+            ends = f"interval up to {high:.3g}, the lower end is unknown"
+        case low, None:
+            ends = f"interval from {low:.3g}, the upper end is unknown"
+        case low, high:
+            ends = f"interval {low:.3g} to {high:.3g}"
+    unknown = f" ({interval.interval_reason})" if interval.interval_reason else ""
+    middle = "" if interval.verified is None else f"; {interval.verified:.3g} after correction by the simulations"
     return f"{shown}{middle}, {ends}{unknown}"
 
 
 def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:
     whole = f"{percent(parts.probability)} under the whole hazard"
-    if parts.period_of_failures is None or parts.velocity_of_failures is None:
+    if parts.failures is None:
         return [("pulses", f"{whole}: failure is too rare to be attributed to pulses")]
     rows = [("pulses", whole)]
-    for title, period, velocity in (
-        ("of the failures", parts.period_of_failures, parts.velocity_of_failures),
-        ("of all pulses", parts.period_of_pulses, parts.velocity_of_pulses),
-    ):
+    for title, (_, T, v) in (("of the failures", parts.failures), ("of all pulses", parts.pulses)):
         text = (
-            f"{title}: T_p {period.median:.3g} s ({period.low:.3g} to {period.high:.3g}), PGV "
-            f"{velocity.median:.3g} m/s ({velocity.low:.3g} to {velocity.high:.3g}); medians and 90 % ranges"
+            f"{title}: T_p {T.p50:.3g} s ({T.p5:.3g} to {T.p95:.3g}), PGV {v.p50:.3g} m/s ({v.p5:.3g} to "
+            f"{v.p95:.3g}); medians and 90 % ranges"
         )
         rows.append(("", text))
     return rows

@@ -1,7 +1,7 @@
 """The levels of a curve, what is asked at each, and the classifier's answer there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -49,23 +49,40 @@ def ladder_of(
     Args:
         asked: what is asked.
         intensity: with a hazard.
-        against: the variable, without one.
+        against: the variable, without one; its ladder has 40 steps.
         bounds: of the variable's levels; those of the campaign if None.
 
     Raises:
         InputError: naming the argument, the rule and the value.
     """
-    if asked.hazard is None and against is None:
+    if asked.hazard is not None:
+        for name, value in (("against", against), (_BOUNDS, bounds)):
+            if value is not None:
+                raise InputError(f"{name}: cannot be combined with hazard.")
+        return intensity_ladder(intensity, asked.hazard)
+    if against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
-    if asked.hazard is None:
-        if intensity != "pgv":
-            raise InputError("intensity: requires hazard; name the variable with against.")
-        assert against is not None
-        return variable_ladder(asked.question, asked.campaign.space, against, bounds)
-    for name, value in (("against", against), (_BOUNDS, bounds)):
-        if value is not None:
-            raise InputError(f"{name}: cannot be combined with hazard.")
-    return intensity_ladder(intensity, asked.hazard)
+    if intensity != "pgv":
+        raise InputError("intensity: requires hazard; name the variable with against.")
+    question, space = asked.question, asked.campaign.space
+    if against in question.fixed:
+        raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
+    if against not in question.space.names:
+        known = ", ".join(question.space.names)
+        raise InputError(f"against: must be one of the uncertain variables ({known}), got {visible(repr(against))}.")
+    if question.space.dimension < 2:
+        raise InputError(f"against: no variable besides {against} is uncertain, so there is nothing to integrate over.")
+    parameters = [*space.parameters, *getattr(question.space, "parameters", ())]
+    known_one = next((one for one in parameters if one.name == against), None)
+    if bounds is None:
+        if known_one is None:
+            raise InputError(f"{_BOUNDS}: required, because {against} has no bounds in the campaign.")
+        bounds = known_one.low, known_one.high
+    low, high = bounds
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
+    is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
+    return Ladder.between(against, known_one.unit if known_one else "", low, high, _STEPS, is_log)
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
@@ -79,39 +96,6 @@ def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
     steps = np.arange(int(np.floor(first + 1e-9)), int(np.ceil(last - 1e-9)) + 1)
     name, unit = UNITS[intensity]
     return Ladder(name, unit, np.asarray(10.0 ** (steps / _PER_DECADE)), is_log=True)
-
-
-def variable_ladder(
-    question: Question, space: DesignSpace, name: str, bounds: tuple[float, float] | None = None
-) -> Ladder:
-    """The ladder of a question's uncertain variable: 40 steps between its bounds in the campaign, or between others.
-
-    Raises:
-        InputError: if the variable has a value or is unknown, no other is uncertain, or the bounds are wrong.
-    """
-    if name not in question.space.names:
-        if isinstance(name, str) and name in question.fixed:
-            raise InputError(f"against: {name} has the value {question.fixed[name]:g}; leave it out of --fixed.")
-        known = ", ".join(question.space.names)
-        raise InputError(f"against: must be one of the uncertain variables ({known}), got {visible(repr(name))}.")
-    if question.space.dimension < 2:
-        raise InputError(f"against: no variable besides {name} is uncertain, so there is nothing to integrate over.")
-    parameters = {one.name: one for one in space.parameters}
-    if isinstance(question.space, DesignSpace):
-        parameters = {one.name: one for one in question.space.parameters} | parameters
-    known_one = parameters.get(name)
-    if bounds is None:
-        if known_one is None:
-            raise InputError(f"{_BOUNDS}: required, because {name} has no bounds in the campaign.")
-        bounds = known_one.low, known_one.high
-    try:
-        low, high = (float(end) for end in bounds)
-    except (TypeError, ValueError):
-        raise InputError(f"{_BOUNDS}: must be two numbers, got {bounds!r}.") from None
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
-    is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
-    return Ladder.between(name, known_one.unit if known_one else "", low, high, _STEPS, is_log)
 
 
 def question_at(asked: Inquiry, hazard: Hazard, name: str, level: float) -> Question:
@@ -139,15 +123,13 @@ def _with_amplitude(question: Question) -> Question:
     def renamed(name: str) -> str:
         return AMPLITUDE if name == PGV else name
 
-    distribution = question.space
-    if isinstance(distribution, WeightedRows):
-        uncertain: DesignSpace | WeightedRows = replace(distribution, names=tuple(map(renamed, distribution.names)))
+    space = question.space
+    if isinstance(space, WeightedRows):
+        space = replace(space, names=tuple(map(renamed, space.names)))
     else:
-        parameters = [
-            replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in distribution.parameters
-        ]
-        uncertain = DesignSpace(tuple(parameters), distribution.fixed, distribution.correlation)
-    return replace(question, space=uncertain, fixed={renamed(name): value for name, value in question.fixed.items()})
+        parameters = (replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in space.parameters)
+        space = replace(space, parameters=tuple(parameters))
+    return replace(question, space=space, fixed={renamed(name): value for name, value in question.fixed.items()})
 
 
 def median_intensity(hazard: Hazard, name: str) -> float:
@@ -162,42 +144,34 @@ def median_intensity(hazard: Hazard, name: str) -> float:
     return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """The curves of all boundaries on one ladder."""
-
-    curves: tuple[Curve, ...]  # one for each boundary
-    outside: Array  # (n,) share of the question outside the design space at each level
-    from_outside: Array  # (n, boundaries) share of each probability that comes from there
-
-
 def curves_on(
     boundaries: Boundaries, question_at_level: Callable[[float], Question], ladder: Ladder, space: DesignSpace
-) -> Curves:
-    """The curves of all boundaries on a ladder, by the classifier.
+) -> tuple[list[Curve], Array, Array]:
+    """The curves of all b boundaries on one ladder, by the classifier, and what of them lies outside a design space.
 
     Steps of the ladder in which a curve moves by more than 0.05 are halved, at most twice.
+
+    Returns:
+        The curves; (n,) the share of the question outside the space at each level; (n, b) the share of each probability
+        that comes from there.
     """
 
     def integral(level: float) -> Integral:
         return question_at_level(level).integral(boundaries, space, RESOLUTION)
 
-    integrals = {float(level): integral(float(level)) for level in ladder.levels}
+    integrals = {level: integral(level) for level in ladder.levels.tolist()}
     for _ in range(_HALVINGS):
         levels = sorted(integrals)
-        probability = np.array([integrals[level].probability for level in levels])
+        steps = np.abs(np.diff([integrals[level].probability for level in levels], axis=0)).max(axis=1)
         coordinates = ladder.coordinate(np.array(levels))
-        steep = np.flatnonzero(np.abs(np.diff(probability, axis=0)).max(axis=1) > _STEEP)
-        for step in steep:
+        for step in np.flatnonzero(steps > _STEEP):
             level = ladder.level(0.5 * (coordinates[step] + coordinates[step + 1]))
             integrals[level] = integral(level)
     levels = sorted(integrals)
+    found = [integrals[level] for level in levels]
     ladder = replace(ladder, levels=np.array(levels))
-    probability = np.array([integrals[level].probability for level in levels])
-    errors = np.array([one.error for one in integrals.values()]).max(axis=0)
-    curves = tuple(
-        Curve(ladder, probability[:, column], max(RESOLUTION, float(errors[column])))
-        for column in range(probability.shape[1])
-    )
+    errors = np.max([one.error for one in found], axis=0).tolist()
+    probabilities = np.transpose([one.probability for one in found])
+    curves = [Curve(ladder, one, max(RESOLUTION, error)) for one, error in zip(probabilities, errors, strict=True)]
     outside = np.array([question_at_level(level).share_outside(space) for level in levels])
-    return Curves(curves, outside, np.array([integrals[level].outside for level in levels]))
+    return curves, outside, np.array([one.outside for one in found])

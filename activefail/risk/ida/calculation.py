@@ -10,30 +10,26 @@ import numpy as np
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
+from activefail.campaign.provenance import simulation_versions
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.progress import Begin, uncounted
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder
-from activefail.risk.ida.equivalent_pulse import EquivalentPulse, compare_pulses, equivalent_pulse
-from activefail.risk.ida.findings import IdaFindings
-from activefail.risk.ida.intensity import Intensity, unscaled
-from activefail.risk.ida.kept import Kept
-from activefail.risk.ida.p695 import MarginRequest
-from activefail.risk.ida.predictions import (
-    Agreement,
+from activefail.risk.ida.equivalent_pulse import (
     Prediction,
     check_campaign,
-    predicted_by_classifier,
-    predicted_by_reduced_model,
+    compare_pulses,
+    equivalent_pulse,
+    predictions,
 )
-from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
-from activefail.space import Array
+from activefail.risk.ida.findings import IdaFindings
+from activefail.risk.ida.intensity import Intensity
+from activefail.risk.ida.kept import Kept
+from activefail.risk.ida.p695 import MarginRequest
+from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, digest_of
 
 if TYPE_CHECKING:
     from activefail.run import Run
-
-KEPT, KEPT_OF_PULSES = "simulations.json", "simulations-of-pulses.json"
-"""Files of an analysis from which it continues."""
 
 
 def analysis(
@@ -77,49 +73,26 @@ def analysis(
     options = (margin or MarginRequest()).options(period, records.of_p695, intensity.kind == "p695")
     motions = [record.motion for record in records.records]
     levels = ladder(intensity, to)
-    intensities = unscaled(intensity, motions, float(levels[-1]))
+    intensities = np.array([intensity.of_record(motion) for motion in motions])
     if folder is not None:
         with writing_to(folder):
             folder.mkdir(parents=True, exist_ok=True)
     progress = begin(len(motions) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
 
-    def capacities_under(ground: Sequence[Accelerogram], name: str) -> Capacities:
+    def capacities_under(ground: Sequence[Accelerogram]) -> Capacities:
         simulate: Simulate = partial(subject.simulate, ground, intensities, progress)
         if folder is not None:
-            simulate = kept = Kept(simulate, folder / name, subject.identity(ground, intensities), progress)
+            about = {"values": subject.values, "records": digest_of(ground), "intensities": intensities.tolist()}
+            identity = {**subject.identity, **about, "versions": simulation_versions()}
+            simulate = kept = Kept.of(simulate, folder, identity, progress)
             subject.answered = subject.answered or bool(kept.read())
         return capacities(simulate, len(ground), levels, BISECTIONS, severity)
 
-    of_records = capacities_under(motions, KEPT)
-    compared, predictions = None, list[Prediction]()
+    of_records = capacities_under(motions)
+    compared, predicted = None, tuple[Prediction, ...]()
     if pulses and isinstance(subject, BearingSubject):
         nearest = [equivalent_pulse(motion) for motion in motions]
-        of_pulses = capacities_under([one.motion for one in nearest], KEPT_OF_PULSES)
+        of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, of_records, [record.event for record in records.records], levels)
-        predictions = _predictions(subject, motions, nearest, run, of_records, levels / intensities[:, None], levels)
-    return IdaFindings(subject, records, intensity, outcome, of_records, options, compared, tuple(predictions))
-
-
-def _predictions(
-    subject: BearingSubject,
-    motions: Sequence[Accelerogram],
-    pulses: Sequence[EquivalentPulse],
-    run: "Run | None",
-    of_records: Capacities,
-    factors: Array,
-    levels: Array,
-) -> list[Prediction]:
-    """What predicts the outcomes at the k levels of the ladder, to which (n, k) factors scale the records."""
-    outcome, severity = of_records.on_ladder(levels).ravel(), of_records.severity
-    answered = outcome >= 0
-    which = np.repeat(np.arange(len(motions)), len(levels))[answered]
-    fails, factors = outcome[answered] >= severity, factors.ravel()[answered]
-    predictions = []
-    if run is not None:
-        period, amplitude = np.array([[one.period, one.amplitude] for one in pulses])[which].T
-        predicted, outside = predicted_by_classifier(
-            run.campaign, run.classifier, subject.values, period, factors * amplitude, severity
-        )
-        predictions.append(Prediction("classifier at the pulse", Agreement.of(fails, predicted), outside))
-    predicted = predicted_by_reduced_model(subject.row, motions, which, factors, severity, subject.model)
-    return [*predictions, Prediction("reduced model", Agreement.of(fails, predicted))]
+        predicted = predictions(subject, motions, nearest, run, of_records, levels, intensities)
+    return IdaFindings(subject, records, intensity, outcome, of_records, options, compared, predicted)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.bearing.design import LARGEST
 from activefail.errors import InputError
 from activefail.risk.ida.intensity import Intensity
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -89,16 +88,42 @@ class Capacities:
         return np.array([outcomes[np.isin(levels, rungs)] for levels, outcomes in pairs], dtype=np.int8)
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """Numbers of levels by their predicted and their simulated outcome."""
+
+    both_fail: int
+    both_survive: int
+    missed: int  # failures that were not predicted
+    false: int  # predicted failures that did not occur
+
+    @classmethod
+    def of(cls, fails: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> "Agreement":
+        """Of simulated and predicted failures, (n,) each."""
+        pairs = (fails & predicted, ~fails & ~predicted, fails & ~predicted, ~fails & predicted)
+        return cls(*(int(pair.sum()) for pair in pairs))
+
+    @property
+    def same(self) -> int:
+        """Levels with the same outcome."""
+        return self.both_fail + self.both_survive
+
+    @property
+    def levels(self) -> int:
+        """All levels."""
+        return self.same + self.missed + self.false
+
+
 def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     """The rising levels of the ladder, with equal ratios between them.
 
     Raises:
-        InputError: if the highest level is too near to 0 or infinity for the others.
+        InputError: if the highest level is not positive and finite.
     """
     own = intensity.of_set if intensity.kind == "p695" else 1.0
     top = own * _HIGHEST[intensity.kind] if highest is None else highest
-    if not 1.0 / LARGEST <= top <= LARGEST:
-        raise InputError(f"--to: must be between {1.0 / LARGEST:g} and {LARGEST:g}, got {top:g}.")
+    if not 0.0 < top < np.inf:
+        raise InputError(f"--to: must be positive and finite, got {top:g}.")
     return np.geomspace(LOWEST * top, top, LEVELS)
 
 

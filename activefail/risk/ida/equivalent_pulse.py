@@ -1,8 +1,9 @@
-"""The pulse nearest to a record, and how well it stands for the record: the capacities of both."""
+"""The pulse nearest to a record, and how well it stands for the record; predictions by it, and by reduced models."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -10,12 +11,19 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate
 
 from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.bearing.outcome import OUTCOMES
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration, ground_velocity
+from activefail.bearing.record_features import RECORD_FEATURES, record_features
+from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities
+from activefail.risk.ida.capacity import Agreement, Capacities
 from activefail.risk.ida.collapse import jackknife
-from activefail.risk.ida.predictions import Agreement
+from activefail.risk.ida.simulations import BearingSubject
 from activefail.space import Array
+
+if TYPE_CHECKING:
+    from activefail.run import Run
 
 _PERIODS = np.geomspace(0.25, 12.0, 60)
 """Periods that are tried first [s]."""
@@ -123,3 +131,86 @@ def compare_pulses(
         len(ratio),
         Agreement.of(record[answered] >= severity, pulse[answered] >= severity),
     )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What predicts the outcomes, and how often it is right."""
+
+    by: str
+    levels: Agreement
+    outside: float | None = None  # share of the levels outside the campaign's design space, if there is one
+
+    @property
+    def text(self) -> str:
+        """The counts in words."""
+        counts = self.levels
+        text = (
+            f"the {self.by} predicts {counts.same} of {counts.levels} outcomes correctly; it misses {counts.missed} "
+            f"failures, and predicts {counts.false} that did not happen"
+        )
+        if self.outside is None:
+            return text
+        return f"{text}; {100 * self.outside:.0f} % of these pulses lie outside the campaign's design space"
+
+
+def predictions(
+    subject: BearingSubject,
+    motions: Sequence[Accelerogram],
+    pulses: Sequence[EquivalentPulse],
+    run: "Run | None",
+    of_records: Capacities,
+    levels: Array,
+    intensities: Array,
+) -> tuple[Prediction, ...]:
+    """What predicts the outcome that is sought, or a worse one, at the k levels of the ladder under n records.
+
+    The classifier of a campaign under pulses sees the equivalent pulses; the model is symmetric, so their signs do not
+    matter. The reduced models see the records, and expect failure where m* > 0, and impact where v* > 0.
+
+    Args:
+        subject: the bearing.
+        motions, pulses: the records and their pulses, (n,) each.
+        run: of the campaign, or None.
+        of_records: what was simulated.
+        levels: (k,) of the ladder.
+        intensities: (n,) of the records as they are.
+    """
+    severity, outcome = of_records.severity, of_records.on_ladder(levels).ravel()
+    answered = np.flatnonzero(outcome >= 0)
+    which, factors = answered // len(levels), (levels / intensities[:, None]).ravel()[answered]
+    fails = outcome[answered] >= severity
+    features = record_features(np.tile(subject.row, (len(which), 1)), motions, which, factors, subject.model)
+    column = RECORD_FEATURES.index("m*" if severity == len(OUTCOMES) - 1 else "v*")
+    reduced = Prediction("reduced model", Agreement.of(fails, features[:, column] > 0.0))
+    if run is None:
+        return (reduced,)
+    period, amplitude = np.array([[one.period, one.amplitude] for one in pulses])[which].T
+    columns: dict[str, Any] = {**subject.values, "T_p": period, "A_p": np.abs(factors * amplitude) / GRAVITY}
+    space = run.campaign.space
+    X = np.column_stack([np.broadcast_to(columns[name], len(which)) for name in space.names])
+    predicted = run.classifier.probabilities(X)[:, severity:].sum(axis=1) >= 0.5
+    outside = float(np.mean(~space.contains(X)))
+    return Prediction("classifier at the pulse", Agreement.of(fails, predicted), outside), reduced
+
+
+def check_campaign(campaign: Campaign, values: Mapping[str, float], model: Model) -> None:
+    """Check that a campaign is one of this bearing under pulses.
+
+    Raises:
+        InputError: naming what differs.
+    """
+    space, outcomes = campaign.space, tuple(campaign.simulator.outcomes)
+    known = (*space.names, *space.fixed)
+    if set(known) != set(TABLE_1.names) or not {"T_p", "A_p"} <= set(space.names) or outcomes != OUTCOMES:
+        raise InputError(
+            f"--campaign: must be a campaign under pulses, with the variables {', '.join(TABLE_1.names)} and the "
+            f"outcomes {', '.join(OUTCOMES)}; got {', '.join(known)} and {', '.join(outcomes)}."
+        )
+    if campaign.settings.bearing.model() != model:
+        raise InputError(
+            "--campaign: its [bearing] settings differ from this command's options. Give this command the same values."
+        )
+    for name, fixed in space.fixed.items():
+        if values[name] != fixed:
+            raise InputError(f"--campaign: fixes {name} to {fixed:g}, but the bearing has {values[name]:g}.")

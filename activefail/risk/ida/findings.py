@@ -12,12 +12,12 @@ from scipy.special import ndtr
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.terms import Terms
 from activefail.findings.lines import titled
+from activefail.json_text import json_values, named
 from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
-from activefail.risk.ida.equivalent_pulse import PulseComparison
+from activefail.risk.ida.equivalent_pulse import Prediction, PulseComparison
 from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.p695 import Margin, MarginOptions, collapse_margin
-from activefail.risk.ida.predictions import Prediction
+from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
 from activefail.space import Array
 
@@ -57,11 +57,16 @@ class IdaFindings:
         return self._fitted(self.capacities.if_lost_fail) if self.capacities.numerical_failures.any() else None
 
     @property
-    def margin(self) -> Margin | None:
-        """Of FEMA P695; None if it was not asked for, or there is no fragility."""
+    def cmr(self) -> float:
+        """The collapse margin ratio: the median over the intensity of the MCE; NaN if either is unknown."""
         if self.fragility is None or self.options is None:
-            return None
-        return collapse_margin(self.fragility.fit.median, self.options)
+            return math.nan
+        return self.fragility.fit.median / self.options.mce
+
+    @property
+    def acmr(self) -> float:
+        """The collapse margin ratio times the spectral shape factor of [FEMA2009]; NaN as for `cmr`."""
+        return self.options.shape_factor * self.cmr if self.options else math.nan
 
     @property
     def is_of_worst(self) -> bool:
@@ -100,11 +105,10 @@ class IdaFindings:
         return float(np.max(np.maximum(np.abs(curve - share), np.abs(curve - before))))
 
     @property
-    def cmr_interval(self) -> tuple[float, ...]:
-        """The interval of the collapse margin ratio, from that of the median; empty without one."""
-        if self.fragility is None or self.options is None:
-            return ()
-        return tuple(end / self.options.mce for end in self.fragility.median)
+    def cmr_interval(self) -> tuple[float, ...] | None:
+        """The interval of the collapse margin ratio, from that of the median; None without one."""
+        ends = self.fragility.median if self.fragility else ()
+        return tuple(end / self.options.mce for end in ends) if self.options and ends else None
 
     @property
     def lines(self) -> list[str]:
@@ -135,16 +139,17 @@ class IdaFindings:
         if self.pulses is not None:
             rows += _pulse_lines(self.pulses)
             rows += [(one.by.split()[0], one.text) for one in self.predictions]
-        if self.margin is not None and self.options is not None:
-            margin, factor = self.margin, self.options.shape_factor
-            ends = tuple(factor * end for end in self.cmr_interval)
+        if self.fragility is not None and self.options is not None:
+            factor, dispersion = self.options.shape_factor, self.options.total_dispersion
+            ends = tuple(factor * end for end in self.cmr_interval or ())
             rows += [
-                ("CMR", f"{margin.cmr:.3g}{_interval(self.cmr_interval)}"),
-                ("ACMR", f"{margin.acmr:.3g} with a shape factor of {factor:.4g}{_interval(ends)}"),
+                ("CMR", f"{self.cmr:.3g}{_interval(self.cmr_interval or ())}"),
+                ("ACMR", f"{self.acmr:.3g} with a shape factor of {factor:.4g}{_interval(ends)}"),
             ]
-            for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
-                verdict = _verdict(margin.acmr, ends, least)
-                rows.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:.3g}: {verdict}"))
+            for share in (0.10, 0.20):
+                least = self.options.acceptable(share)
+                text = f"{least:.3g} for β = {dispersion:.3g}: {_verdict(self.acmr, ends, least)}"
+                rows.append((f"ACMR{100 * share:g}%", text))
         return titled(rows, 11) + [f"note: {note}" for note in self.notes]
 
     @property
@@ -211,7 +216,7 @@ class IdaFindings:
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
-        if self.margin is not None and self.options is not None:
+        if self.fragility is not None and self.options is not None:
             if not self.is_of_worst:
                 notes.append(f"The margin ratio is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
@@ -219,18 +224,22 @@ class IdaFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        one, capacities, fragility, margin, options = (
-            self.subject, self.capacities, self.fragility, self.margin, self.options
-        )  # fmt: skip
-        counts = {
-            name: getattr(capacities, name).tolist() for name in ("resurrections", "numerical_failures", "lifted")
-        }
-        return {
-            "bearing": dict(one.values),
-            "terms": None if self.terms is None else self.terms.as_json(),
-            "simulator": None if isinstance(one, BearingSubject) else one.name,
-            "model": asdict(one.model) if isinstance(one, BearingSubject) else None,
-            "tolerance": one.tolerance.relative if isinstance(one, BearingSubject) else None,
+        subject, capacities, options, pulses = self.subject, self.capacities, self.options, self.pulses
+        bearing = subject if isinstance(subject, BearingSubject) else None
+        columns = ("below", "capacity", "resurrections", "numerical_failures", "lifted")
+        of_records = zip(*(getattr(capacities, name) for name in columns), strict=True)
+        records = [
+            {"record": one.motion.name, "event": one.event, "intensity": self.intensity.of_record(one.motion)}
+            | dict(zip(columns, numbers, strict=True))
+            for one, numbers in zip(self.records.records, of_records, strict=True)
+        ]
+        margin = options if self.fragility else None
+        values = {
+            "bearing": subject.values,
+            "terms": self.terms and self.terms.as_json(),
+            "simulator": subject.name if isinstance(subject, CampaignSubject) else None,
+            "model": bearing and bearing.model,
+            "tolerance": bearing and bearing.tolerance.relative,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -238,36 +247,44 @@ class IdaFindings:
             "events": self.records.events,
             "vertical": self.records.has_vertical,
             "highest_level": self.highest,
-            "records": [
-                {
-                    "record": record.motion.name,
-                    "event": record.event,
-                    "intensity": self.intensity.of_record(record.motion),
-                    "below": float(capacities.below[k]),
-                    "capacity": _finite(capacities.capacity[k]),
-                    **{name: values[k] for name, values in counts.items()},
-                }
-                for k, record in enumerate(self.records.records)
-            ],
-            "if_lost_fail": None if self.if_lost_fail is None else _numbers(self.if_lost_fail),
-            **_numbers(fragility),
+            "records": records,
+            "if_lost_fail": self.if_lost_fail and _numbers(self.if_lost_fail),
+            **_numbers(self.fragility),
             "confidence": CONFIDENCE,
-            "misfit": None if fragility is None else self.misfit,
-            "cmr": None if margin is None else margin.cmr,
-            "cmr_interval": list(self.cmr_interval) or None,
-            "shape_factor": None if options is None else options.shape_factor,
-            "beta_total": None if options is None else options.total_dispersion,
-            "acmr": None if margin is None else margin.acmr,
-            "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
-            "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
-            "pulses": None if self.pulses is None else _pulses_as_json(self.pulses),
+            **named(self, "misfit", "cmr", "cmr_interval"),
+            "shape_factor": options and options.shape_factor,
+            "beta_total": options and options.total_dispersion,
+            "acmr": self.acmr,
+            "acceptable_acmr_10": margin and margin.acceptable(0.10),
+            "acceptable_acmr_20": margin and margin.acceptable(0.20),
+            "pulses": pulses and _pulses_as_json(pulses),
             "predictions": [{"by": one.by, **asdict(one.levels), "outside": one.outside} for one in self.predictions],
             "notes": self.notes,
         }
+        return json_values(values)
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
+    pairs = zip(compared.pulses, compared.capacities.capacity, strict=True)
+    return {
+        "pulses": [named(one, "period", "amplitude", "explained") | {"capacity": at} for one, at in pairs],
+        "mean_log_ratio": compared.mean,
+        "mean_log_ratio_interval": compared.interval or None,
+        "sd_log_ratio": compared.spread,
+        "compared": compared.compared,
+        **asdict(compared.levels),
+    }
+
+
+def _numbers(fragility: Fragility | None) -> dict[str, Any]:
+    if fragility is None:
+        return dict.fromkeys(("median", "median_interval", "dispersion", "dispersion_interval"))
+    return {
+        "median": fragility.fit.median,
+        "median_interval": fragility.median or None,
+        "dispersion": fragility.fit.dispersion,
+        "dispersion_interval": fragility.dispersion or None,
+    }
 
 
 def _verdict(acmr: float, interval: Sequence[float], least: float) -> str:
@@ -295,34 +312,5 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
     return [*rows, ("levels", text)]
 
 
-def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
-    pairs = zip(compared.pulses, compared.capacities.capacity, strict=True)
-    return {
-        "pulses": [
-            {
-                "period": one.period,
-                "amplitude": one.amplitude,
-                "explained": one.explained,
-                "capacity": _finite(capacity),
-            }
-            for one, capacity in pairs
-        ],
-        "mean_log_ratio": compared.mean,
-        "mean_log_ratio_interval": list(compared.interval) or None,
-        "sd_log_ratio": compared.spread,
-        "compared": compared.compared,
-        **asdict(compared.levels),
-    }
-
-
 def _interval(ends: tuple[float, ...]) -> str:
     return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
-
-
-def _numbers(fragility: Fragility | None) -> dict[str, Any]:
-    return {
-        "median": None if fragility is None else fragility.fit.median,
-        "median_interval": None if fragility is None else list(fragility.median) or None,
-        "dispersion": None if fragility is None else fragility.fit.dispersion,
-        "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
-    }

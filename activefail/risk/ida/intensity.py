@@ -1,7 +1,6 @@
 """Measures of the intensity of a record: factor, peak acceleration or velocity, spectral acceleration."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
@@ -9,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import GRAVITY, LARGEST
+from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 from activefail.risk.ida.p695 import normalised_intensity
 from activefail.space import Array
@@ -116,25 +115,6 @@ class Intensity:
                 return spectral_acceleration(motion, self.period) / GRAVITY
             case "p695":
                 return self.of_set
-
-
-def unscaled(intensity: Intensity, motions: Sequence[Accelerogram], highest: float) -> Array:
-    """The intensities of n records as they are, (n,), which will be scaled up to a highest level.
-
-    Raises:
-        InputError: if a record does not move, or if its accelerations at the highest level would be too large.
-    """
-    own = np.array([intensity.of_record(motion) for motion in motions])
-    for motion, value in zip(motions, own.tolist(), strict=True):
-        vertical = 0.0 if motion.vertical is None else float(np.abs(motion.vertical).max())
-        # A product that overflows is infinite.
-        peak = max(motion.peak, vertical) / value * highest
-        if not peak <= LARGEST:
-            raise InputError(
-                f"--to: {highest:g} {intensity.unit} scales {motion.name} to {peak:.3g} m/s2; a record must stay below "
-                f"{LARGEST:g} m/s2."
-            )
-    return own
 
 
 def spectral_acceleration(motion: Accelerogram, period: float) -> float:

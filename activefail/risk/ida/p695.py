@@ -41,6 +41,10 @@ class MarginOptions:
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{name}: must be positive, got {value:g}.")
 
+    def acceptable(self, probability: float) -> float:
+        """The least ACMR for a probability of collapse, exp(β Φ⁻¹(1 − p)): how [FEMA2009, table 7-3] is made."""
+        return math.exp(self.total_dispersion * float(ndtri(1.0 - probability)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class MarginRequest:
@@ -94,41 +98,42 @@ class MarginRequest:
         Raises:
             InputError: if a value breaks a rule, or other records than those of FEMA P695 need the shape factor.
         """
-        if self.sdc is not None and not collective:
-            raise InputError(
-                "--sdc: requires --scale-to p695, because the shape factor of FEMA P695 is for records that are scaled "
-                "together, by their S_T(T). State a shape factor for another scaling with --ssf."
-            )
-        mce, of_mce = self.mce, ""
-        if self.sdc is not None and mce is None:
-            mce = mce_intensity(period, self.sdc)
-            of_mce = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
-        if mce is None:
+        if self.mce is None and self.sdc is None:
             return None
-        if not collective and (self.ssf is not None or self.ratings is not None):
-            of_mce += (
-                " Shape factor and β of FEMA P695 are for records that are scaled together, by their S_T(T) "
-                "(--scale-to p695). For another scaling they are an assumption."
-            )
-        factor, of_factor = 1.0, "The spectral shape factor is 1, because neither --ssf nor --sdc is stated"
-        if self.ssf is not None:
-            factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
-        elif self.sdc is not None and self.ductility is not None:
+        mce, factor, dispersion, last = self.mce, 1.0, 0.5, ""
+        of_factor = "The spectral shape factor is 1, because neither --ssf nor --sdc is stated"
+        of_dispersion = "β is 0.5, because neither --beta-total nor --ratings is stated"
+        if self.sdc is not None and self.ductility is not None:
+            if not collective:
+                raise InputError(
+                    "--sdc: requires --scale-to p695, because the shape factor of FEMA P695 is for records that are "
+                    "scaled together, by their S_T(T). State a shape factor for another scaling with --ssf."
+                )
+            if mce is None:
+                mce = mce_intensity(period, self.sdc)
+                last = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
             factor = shape_factor(period, self.ductility, self.sdc, set_name)
             of_factor = (
                 f"The spectral shape factor is that of FEMA P695 for T = T_b = {period:g} s, μ_T = {self.ductility:g} "
                 f"and {self.sdc}"
             )
-        dispersion, of_dispersion = 0.5, "β is 0.5, because neither --beta-total nor --ratings is stated"
+        if self.ssf is not None:
+            factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
         if self.beta_total is not None:
             dispersion, of_dispersion = self.beta_total, "β is that of --beta-total"
-        elif self.ratings is not None:
+        if self.ratings is not None:
             dispersion = total_dispersion(self.ratings, self.ductility)
             of_dispersion = (
                 f"β is that of FEMA P695 for the ratings {self.ratings} and the dispersion between records "
                 f"{record_to_record(self.ductility):g}"
             )
-        return MarginOptions(mce, factor, dispersion, f"{of_factor}. {of_dispersion}.{of_mce}")
+        if not collective and (self.ssf is not None or self.ratings is not None):
+            last = (
+                " Shape factor and β of FEMA P695 are for records that are scaled together, by their S_T(T) "
+                "(--scale-to p695). For another scaling they are an assumption."
+            )
+        assert mce is not None
+        return MarginOptions(mce, factor, dispersion, f"{of_factor}. {of_dispersion}.{last}")
 
 
 def shape_factor(period: float, ductility: float, category: str, set_name: str) -> float:
@@ -223,24 +228,3 @@ def total_dispersion(ratings: str, ductility: float | None = None) -> float:
             f"{visible(ratings)!r}."
         )
     return math.hypot(record_to_record(ductility), *(RATINGS[letter] for letter in letters))
-
-
-@dataclass(frozen=True)
-class Margin:
-    """The collapse margin of [FEMA2009]."""
-
-    cmr: float  # median collapse intensity over that of the maximum considered earthquake
-    acmr: float  # times the spectral shape factor
-    acceptable_10: float  # least ACMR for 10 % probability of collapse
-    acceptable_20: float
-
-
-def collapse_margin(median: float, options: MarginOptions) -> Margin:
-    """The margin of a median collapse intensity.
-
-    The acceptable values follow from a lognormal capacity with the total uncertainty, exp(β Φ⁻¹(1 − p)), which is how
-    [FEMA2009, table 7-3] is made.
-    """
-    cmr = median / options.mce
-    acceptable = [math.exp(options.total_dispersion * float(ndtri(1.0 - p))) for p in (0.10, 0.20)]
-    return Margin(cmr, options.shape_factor * cmr, *acceptable)

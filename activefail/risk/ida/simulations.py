@@ -14,7 +14,6 @@ from activefail.bearing.outcome import CAUSES, OUTCOMES
 from activefail.bearing.simulation import simulate_records
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign
-from activefail.campaign.provenance import simulation_versions
 from activefail.campaign.question import values_of
 from activefail.campaign.shipped import campaign_file
 from activefail.errors import InputError, SimulationError, naming
@@ -82,11 +81,8 @@ class BearingSubject:
             values = dict(zip(names, row.tolist(), strict=True))
         file = visible(str(values)) if isinstance(values, str | Path) else "bearing"
         known = values_of(values, TABLE_1, "bearing")
-        for name in known:
-            if name not in names:
-                raise InputError(
-                    f"{file}: {name}: belongs to a pulse; leave it out, because the records are the ground motion."
-                )
+        if of_pulse := [name for name in known if name not in names]:
+            raise InputError(f"{file}: {of_pulse[0]}: belongs to a pulse; the records are the ground motion.")
         if missing := [name for name in names if name not in known]:
             raise InputError(f"{file}: requires {', '.join(missing)}.")
         row = np.array([known[name] for name in names])
@@ -114,16 +110,10 @@ class BearingSubject:
         outcome = np.where(answers.cause == _LIFTED, _FAILURE, answers.outcome).astype(np.int8)
         return Answers(outcome, (outcome == _FAILURE) & np.isnan(answers.margin("first_touch_time")))
 
-    def identity(self, records: Sequence[Accelerogram], intensities: Array) -> dict[str, Any]:
-        """All that the outcomes depend on, besides record and level, as JSON values."""
-        return {
-            "bearing": self.values,
-            "intensities": intensities.tolist(),
-            "records": digest_of(records),
-            "model": asdict(self.model),
-            "tolerance": asdict(self.tolerance),
-            "versions": simulation_versions(),
-        }
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the outcomes depend on, besides values, records and levels, as JSON values."""
+        return {"model": asdict(self.model), "tolerance": asdict(self.tolerance)}
 
 
 @dataclass(eq=False)
@@ -175,17 +165,12 @@ class CampaignSubject:
             raise SimulationError(f"None of {len(runs)} simulations gave an outcome. {self.fault}".rstrip())
         return Answers(results.outcome, np.zeros(len(runs), dtype=bool))
 
-    def identity(self, records: Sequence[Accelerogram], intensities: Array) -> dict[str, Any]:
-        """All that the outcomes depend on and that is known, besides record and level, as JSON values."""
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the outcomes depend on and that is known, as for `BearingSubject`."""
         names = {"python", "command", "outcomes", "margins", "levels"}
-        simulator = self.campaign.settings.model_dump(mode="json", include={"simulator": names})["simulator"]
-        return {
-            "simulator": simulator,
-            "code": self.campaign.sources,
-            "bearing": self.values,
-            "records": digest_of(records),
-            "versions": simulation_versions(),
-        }
+        settings = self.campaign.settings.model_dump(mode="json", include={"simulator": names})
+        return {**settings, "code": self.campaign.sources}
 
 
 def campaign_of(file: str | Path) -> tuple[str, Campaign]:
@@ -225,9 +210,8 @@ def values_under_records(campaign: Campaign, values: Values, records: int) -> di
 def digest_of(records: Sequence[Accelerogram]) -> str:
     """SHA-256 of the samples and intervals of records, in their order."""
     digest = hashlib.sha256()
-    for record in records:
-        for part in (np.array([record.dt]), record.acceleration, record.vertical):
-            part = np.empty(0) if part is None else part
-            digest.update(np.array([len(part)]).tobytes())
-            digest.update(np.ascontiguousarray(part).tobytes())
+    for one in records:
+        vertical = np.empty(0) if one.vertical is None else one.vertical
+        sizes = [one.dt, len(one.acceleration), len(vertical)]
+        digest.update(np.concatenate([sizes, one.acceleration, vertical]).tobytes())
     return digest.hexdigest()

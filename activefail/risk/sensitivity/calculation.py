@@ -4,7 +4,9 @@ Two functions have indices. Without a hazard, the probability of the outcome giv
 almost 0 or 1. With a hazard, the probability given the bearing alone: the pulses are integrated out.
 """
 
+import math
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -12,13 +14,14 @@ from scipy.special import ndtr, ndtri
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import hazard_question
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
+from activefail.parameter import Parameter
 from activefail.progress import Begin, uncounted
-from activefail.reliability.integral import Boundaries, BoundariesOf, Standardised
+from activefail.reliability.integral import Boundaries
 from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
-from activefail.risk.sensitivity.sobol import Decomposition, checked_samples, decomposed
+from activefail.risk.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
 from activefail.simulators.bearing import limits_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
@@ -43,6 +46,17 @@ _AT_ONCE = 4096
 """Most rows of a prediction at once, which limits its memory."""
 
 
+class Varied(NamedTuple):
+    """What is varied, and the designs whose probability has indices."""
+
+    question: Question  # with the base values of the variables that have one
+    parameters: tuple[Parameter, ...]  # all that are varied, for their units
+    space: DesignSpace | None  # of the d variables with indices, which are independent; None without any
+    designs: Callable[[Array], Array]  # (n, d) values -> (n p, D) designs of the campaign, p of each
+    weight: Array  # (p,) of the designs of each
+    notes: tuple[str, ...] = ()
+
+
 def default_samples(variables: int, points: int = 1) -> int:
     """The number of samples that keeps the evaluations of the classifier within two minutes for a bearing.
 
@@ -56,53 +70,93 @@ def default_samples(variables: int, points: int = 1) -> int:
 
 def sensitivity(
     asked: Inquiry,
-    classifier: Classifier,
-    outcome: str,
-    p_values: Mapping[str, float],
-    samples: int | None = None,
-    confidence: float = 0.95,
-    begin: Begin = uncounted,
-) -> SensitivityFindings:
-    """Which variables affect a probability, with the length scales and p-values that stand beside the indices.
-
-    Args:
-        asked: what is asked.
-        classifier: of the campaign.
-        outcome: of the boundary.
-        p_values: of the variables.
-        samples: points of the sample; a power of two. By default as many as two minutes allow.
-        confidence: of the intervals.
-        begin: called with the number of evaluations; returns a callback for finished ones.
-
-    Raises:
-        InputError: as `question_sensitivity` and `hazard_sensitivity` do.
-    """
-    features = asked.campaign.features
-    of = question_sensitivity if asked.hazard is None else hazard_sensitivity
-    found = of(asked, BoundariesOf(classifier, features), outcome, samples, confidence, begin)
-    scales = np.exp(classifier.latent(outcome).trained.hyperparameters.log_lengthscale)
-    return found.beside(dict(zip(features.names, scales.tolist(), strict=True)), p_values)
-
-
-def question_sensitivity(
-    asked: Inquiry,
     boundaries: Boundaries,
     outcome: str,
     samples: int | None = None,
     confidence: float = 0.95,
     begin: Begin = uncounted,
+    classifier: Classifier | None = None,
+    p_values: Mapping[str, float] | None = None,
 ) -> SensitivityFindings:
-    """The Sobol' indices of the classifier's probability Φ(m/s) given the uncertain variables of a question.
+    """Which variables affect the classifier's probability Φ(m/s) of an outcome.
 
     Args:
-        asked, outcome, samples, confidence, begin: as for `sensitivity`.
+        asked: what is asked.
         boundaries: of the campaign's designs.
+        outcome: of the boundary.
+        samples: points of the sample; a power of two. By default as many as two minutes allow.
+        confidence: of the intervals.
+        begin: called with the number of evaluations; returns a callback for finished ones.
+        classifier: whose length scales stand beside the indices.
+        p_values: of the variables by name, beside the indices too.
 
     Raises:
-        InputError: if the question's variables are correlated, or rows of a file; if `samples` is invalid; or if SALib
-            is not installed.
+        InputError: if a question's variables are correlated, or rows of a file; if the campaign of a hazard has nothing
+            but a pulse; if `samples` is invalid; or if SALib is not installed.
     """
-    campaign, question, space = asked.campaign, asked.question, asked.question.space
+    campaign, hazard = asked.campaign, asked.hazard
+    column = campaign.simulator.outcomes.index(outcome) - 1
+    varied = _of_question(asked.question, outcome) if hazard is None else _under_hazard(asked, outcome)
+    free, points = varied.space.dimension if varied.space else 0, len(varied.weight)
+    samples = checked_samples(samples or default_samples(free, points)) if free else 0
+    evaluations = samples * (free + 2) * points
+    advance = begin(evaluations)
+
+    def moved(name: str, value: float) -> float:
+        integral = varied.question.at({name: value}).integral(boundaries, campaign.space, RESOLUTION)
+        return float(integral.probability[column])
+
+    probability, moves = (math.nan, ()) if hazard is None else _moves(varied, moved)
+    decomposition, outside = NOTHING, varied.question.share_outside(campaign.space)
+    if (space := varied.space) is not None:
+
+        def of_unit(U: Array) -> Array:
+            """The probability at each of n points of the unit cube, (n,), some of them at a time."""
+            values, at_once, parts = space.from_unit(U), max(1, _AT_ONCE // points), []
+            for first in range(0, len(values), at_once):
+                designs = varied.designs(values[first : first + at_once])
+                beyond = ndtr(boundaries(designs)[:, column])
+                parts.append(beyond.reshape(-1, points) @ varied.weight / varied.weight.sum())
+                advance(len(designs))
+            return np.concatenate(parts)
+
+        decomposition = decomposed(of_unit, space.names, samples, confidence)
+        if hazard is not None:
+            is_outside = ~campaign.space.contains(varied.designs(space.sobol(256, np.random.default_rng(0))))
+            outside = float((is_outside.reshape(256, -1) @ varied.weight).mean() / varied.weight.sum())
+    scales: dict[str, float] = {}
+    if classifier is not None:
+        of_features = np.exp(classifier.latent(outcome).trained.hyperparameters.log_lengthscale)
+        scales = dict(zip(campaign.features.names, of_features.tolist(), strict=True))
+    return SensitivityFindings(
+        outcome=outcome,
+        outcomes=tuple(campaign.simulator.outcomes),
+        title=varied.question.title,
+        mean=decomposition.mean,
+        sd=decomposition.sd,
+        indices=decomposition.by_total,
+        confidence=confidence,
+        samples=samples,
+        evaluations=evaluations,
+        units={one.name: one.unit for one in varied.parameters},
+        outside=outside,
+        notes=(
+            *varied.notes,
+            *(_notes(decomposition, samples, is_rareness_known=hazard is None) if samples else ()),
+            *limits_of(campaign.simulator),
+            *(_notes_beside(scales, p_values or {}) if decomposition.indices else ()),
+        ),
+        pulses=0 if hazard is None else points,
+        probability=probability,
+        moves=moves,
+        length_scales=scales,
+        p_values=p_values or {},
+    )
+
+
+def _of_question(question: Question, outcome: str) -> Varied:
+    """The uncertain variables of a question, whose probability is almost 0 or 1."""
+    space = question.space
     if isinstance(space, WeightedRows):
         raise InputError(
             "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
@@ -115,137 +169,67 @@ def question_sensitivity(
             "correlated variables. Set `correlation = []` in the question file, or give one of the two a value with "
             "`--fixed`."
         )
-    samples = checked_samples(samples or default_samples(space.dimension))
-    evaluations = samples * (space.dimension + 2)
-    column = campaign.simulator.outcomes.index(outcome) - 1
-    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
-    decomposition = decomposed(
-        lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence
-    )
-    return SensitivityFindings(
-        outcome=outcome,
-        outcomes=tuple(campaign.simulator.outcomes),
-        title=question.title,
-        mean=decomposition.mean,
-        sd=decomposition.sd,
-        indices=decomposition.by_total,
-        confidence=confidence,
-        samples=samples,
-        evaluations=evaluations,
-        units={one.name: one.unit for one in space.parameters},
-        outside=question.share_outside(campaign.space),
-        notes=(
-            *question.assumptions,
-            f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
-            *_notes_on_indices(decomposition, samples),
-            *_notes_on_rareness(decomposition, samples),
-            *limits_of(campaign.simulator),
-        ),
-    )
+    note = f"The indices divide the variance of the classifier's probability of {outcome} given all variables."
+    return Varied(question, space.parameters, space, question.designs, np.ones(1), (*question.assumptions, note))
 
 
-def hazard_sensitivity(
-    asked: Inquiry,
-    boundaries: Boundaries,
-    outcome: str,
-    samples: int | None = None,
-    confidence: float = 0.95,
-    begin: Begin = uncounted,
-) -> SensitivityFindings:
-    """Which variables affect the probability of a design under a hazard, whose pulses are integrated out.
+def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
+    """The variables of a design, whose probability is that under the pulses of a hazard.
 
     Variables with values have no indices. They are moved one at a time like the others, which have their medians.
-
-    Args:
-        asked, boundaries, outcome, samples, confidence, begin: as for `question_sensitivity`.
-
-    Raises:
-        InputError: if the campaign has nothing but a pulse, `samples` is invalid, or SALib is not installed.
     """
-    campaign, hazard, fixed = asked.campaign, asked.hazard, asked.fixed
+    campaign, hazard = asked.campaign, asked.hazard
     assert hazard is not None
-    design = [one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE)]
+    design = tuple(one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE))
     if not design:
         raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
-    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | fixed
+    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | asked.fixed
     question = hazard_question(hazard, campaign.space, base)
-    free = [one for one in design if one.name not in fixed]
+    free = tuple(one for one in design if one.name not in asked.fixed)
     rows = question.space.thinned(PULSES) if isinstance(question.space, WeightedRows) else question.space
     X, weight = integration_points(rows, PULSES)
-    pulses = len(X)
-    samples = checked_samples(samples or default_samples(len(free), pulses)) if free else 0
-    evaluations = samples * (len(free) + 2) * pulses
-    column = campaign.simulator.outcomes.index(outcome) - 1
-    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
 
-    def moved(name: str, value: float) -> float:
-        integral = question.at({name: value}).integral(boundaries, campaign.space, RESOLUTION)
-        return float(integral.probability[column])
+    def under_pulses(values: Array) -> Array:
+        designs = np.tile(question.designs(X), (len(values), 1))
+        for k, one in enumerate(free):
+            factor = question.factors.get(one.name, 1.0)
+            designs[:, question.variables.index(one.name)] = np.repeat(values[:, k], len(X)) * factor
+        return designs
 
-    at_base = moved(design[0].name, base[design[0].name])
-    moves = []
-    for one in design:
-        low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
-        moves.append(Move(one.name, base[one.name], low, high, moved(one.name, low), moved(one.name, high)))
-    moves.sort(key=lambda move: min(move.at_low, move.at_high, at_base) - max(move.at_low, move.at_high, at_base))
-    decomposition = Decomposition(float("nan"), float("nan"), float("nan"), ())
-    outside, notes = question.share_outside(campaign.space), [*hazard.assumptions]
-    if free:
-        # Independent: who chooses a design may choose any combination.
-        space = DesignSpace(tuple(free))
-
-        def under_pulses(designs: Array) -> Array:
-            """Designs of the campaign, (n p, d): each of n values of the free variables under each of p pulses."""
-            rows = np.tile(question.designs(X), (len(designs), 1))
-            for k, one in enumerate(free):
-                values = np.repeat(designs[:, k], pulses) * question.factors.get(one.name, 1.0)
-                rows[:, question.variables.index(one.name)] = values
-            return rows
-
-        def mean_over_pulses(U: Array) -> Array:
-            """The probability of each of n designs in the unit cube, (n,), some of them at a time."""
-            designs, at_once = space.from_unit(U), max(1, _AT_ONCE // pulses)
-            parts = [designs[first : first + at_once] for first in range(0, len(designs), at_once)]
-            means = [probability(under_pulses(part)).reshape(len(part), -1) @ weight / weight.sum() for part in parts]
-            return np.concatenate(means)
-
-        decomposition = decomposed(mean_over_pulses, space.names, samples, confidence)
-        designs = space.sobol(256, np.random.default_rng(0))
-        is_outside = ~campaign.space.contains(under_pulses(designs))
-        outside = float((is_outside.reshape(len(designs), -1) @ weight).mean() / weight.sum())
-        notes.append(
-            f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
-            f"averaged over {pulses} fixed pulses. The variables of the design are independent and have "
-            "the campaign's distributions."
-        )
-    else:
-        notes.append("All variables of the design have values, so there are no Sobol' indices.")
-    notes.append(
+    of_indices = (
+        f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
+        f"averaged over {len(X)} fixed pulses. The variables of the design are independent and have the campaign's "
+        "distributions."
+        if free
+        else "All variables of the design have values, so there are no Sobol' indices."
+    )
+    of_moves = (
         f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
         "other variables have the given values, or else their medians. These probabilities are the classifier's and "
         "have no interval; `activefail probability` estimates a probability with an interval."
     )
-    return SensitivityFindings(
-        outcome=outcome,
-        outcomes=tuple(campaign.simulator.outcomes),
-        title=hazard.title,
-        mean=decomposition.mean,
-        sd=decomposition.sd,
-        indices=decomposition.by_total,
-        confidence=confidence,
-        samples=samples,
-        evaluations=evaluations,
-        units={one.name: one.unit for one in design},
-        outside=outside,
-        notes=(*notes, *(_notes_on_indices(decomposition, samples) if samples else ()), *limits_of(campaign.simulator)),
-        pulses=pulses,
-        probability=at_base,
-        moves=tuple(moves),
-    )
+    # Independent: who chooses a design may choose any combination.
+    space = DesignSpace(free) if free else None
+    return Varied(question, design, space, under_pulses, weight, (*hazard.assumptions, of_indices, of_moves))
 
 
-def _notes_on_indices(decomposition: Decomposition, samples: int) -> list[str]:
-    """What the indices and their intervals mean."""
+def _moves(varied: Varied, probability: Callable[[str, float], float]) -> tuple[float, tuple[Move, ...]]:
+    """The probability at the base values, and at two values of one variable at a time, by decreasing effect."""
+    moves, base = [], varied.question.fixed
+    at_base = probability(varied.parameters[0].name, base[varied.parameters[0].name])
+    for one in varied.parameters:
+        low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
+        at_ends = probability(one.name, low), probability(one.name, high)
+        moves.append(Move(one.name, base[one.name], low, high, *at_ends))
+    moves.sort(key=lambda move: min(move.at_low, move.at_high, at_base) - max(move.at_low, move.at_high, at_base))
+    return at_base, tuple(moves)
+
+
+def _notes(decomposition: Decomposition, samples: int, is_rareness_known: bool) -> list[str]:
+    """What the indices and their intervals mean.
+
+    The bootstrap cannot know of designs that the sample lacks; without a hazard, their number is known.
+    """
     if not decomposition.indices:
         return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
     notes = [
@@ -262,29 +246,26 @@ def _notes_on_indices(decomposition: Decomposition, samples: int) -> list[str]:
         )
     if any(not 0.0 <= estimate.value <= 1.0 for estimate in estimates):
         notes.append("Estimates below 0 or above 1 are sampling errors. They are not clipped.")
+    if is_rareness_known and decomposition.rarer < _FEW:
+        notes.append(
+            f"Only about {decomposition.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the "
+            "boundary. The indices and their intervals are unreliable: take more samples, or a question under which "
+            "the outcome is less rare."
+        )
     return notes
 
 
-def _notes_on_rareness(decomposition: Decomposition, samples: int) -> list[str]:
-    """A warning if the sample holds few designs of either side; the bootstrap cannot know of those that it lacks."""
-    if not decomposition.indices or decomposition.rarer >= _FEW:
-        return []
-    return [
-        f"Only about {decomposition.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. "
-        "The indices and their intervals are unreliable: take more samples, or a question under which the outcome is "
-        "less rare."
-    ]
-
-
-def _probability(standardised: Standardised, advance: Callable[[int], None]) -> Callable[[Array], Array]:
-    """The probability Φ(m/s) of designs, (n, d) -> (n,), a part of them at a time."""
-
-    def probability(X: Array) -> Array:
-        parts = [np.empty(0)]
-        for first in range(0, len(X), _AT_ONCE):
-            part = X[first : first + _AT_ONCE]
-            parts.append(ndtr(standardised(part)))
-            advance(len(part))
-        return np.concatenate(parts)
-
-    return probability
+def _notes_beside(length_scales: Mapping[str, float], p_values: Mapping[str, float]) -> list[str]:
+    """What the numbers beside the indices mean."""
+    notes = []
+    if length_scales:
+        notes.append(
+            "A length scale is in standard deviations of the feature over the campaign's space: short where the "
+            "classifier changes quickly. It has no interval."
+        )
+    if p_values:
+        notes.append(
+            "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
+            "detects monotone effects only. A large p-value does not show that a variable has no effect."
+        )
+    return notes

@@ -1,12 +1,13 @@
 """What a probability depends on: findings in numbers and words."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from activefail.csv_table import Target, writing
 from activefail.findings.lines import aligned, titled
 from activefail.findings.quantities import significant
+from activefail.json_text import json_values
 from activefail.risk.sensitivity.sobol import Estimate, Index
 from activefail.shares import percent
 from activefail.visible import or_worse
@@ -17,8 +18,7 @@ LOW, HIGH = 0.1, 0.9
 _NONE = "–"
 
 
-@dataclass(frozen=True)
-class Move:
+class Move(NamedTuple):
     """The probability at two values of one variable, with the others at their base values."""
 
     name: str
@@ -76,21 +76,6 @@ class SensitivityFindings:
         return self.pulses > 0
 
     exit_code = 0
-
-    def beside(self, length_scales: Mapping[str, float], p_values: Mapping[str, float]) -> Self:
-        """The same with what stands beside the indices."""
-        notes = list(self.notes)
-        if length_scales and self.indices:
-            notes.append(
-                "A length scale is in standard deviations of the feature over the campaign's space: short where the "
-                "classifier changes quickly. It has no interval."
-            )
-        if p_values and self.indices:
-            notes.append(
-                "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
-                "detects monotone effects only. A large p-value does not show that a variable has no effect."
-            )
-        return replace(self, length_scales=length_scales, p_values=p_values, notes=tuple(notes))
 
     @property
     def heading(self) -> str:
@@ -158,41 +143,35 @@ class SensitivityFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        return {
-            "outcome": self.outcome,
-            "question": self.title,
-            "output": "probability given the design" if self.is_given_designs else "probability given all variables",
-            "mean": self.mean,
-            "standard_deviation": self.sd,
-            "confidence": self.confidence,
-            "samples": self.samples,
-            "evaluations": self.evaluations,
-            "pulses": self.pulses,
-            "outside_design_space": self.outside,
-            "indices": [
-                {"variable": name, "unit": self.units[name], "first": first._asdict(), "total": total._asdict()}
-                for name, first, total in self.indices
-            ],
-            "probability": self.probability,
-            "one_at_a_time": [
-                {
-                    "variable": move.name,
-                    "unit": self.units[move.name],
-                    "value": move.value,
-                    "low": move.low,
-                    "high": move.high,
-                    "probability_at_low": move.at_low,
-                    "probability_at_high": move.at_high,
-                }
-                for move in self.moves
-            ],
-            "length_scales": dict(self.length_scales),
-            "p_values": dict(self.p_values),
-            "interval": None,
-            "interval_reason": "the classifier's values, without simulation; the intervals of indices cover their "
-            "sampling",
-            "notes": list(self.notes),
-        }
+        return json_values(
+            {
+                "outcome": self.outcome,
+                "question": self.title,
+                "output": f"probability given {'the design' if self.is_given_designs else 'all variables'}",
+                "mean": self.mean,
+                "standard_deviation": self.sd,
+                "confidence": self.confidence,
+                "samples": self.samples,
+                "evaluations": self.evaluations,
+                "pulses": self.pulses,
+                "outside_design_space": self.outside,
+                "indices": [
+                    {"variable": name, "unit": self.units[name], "first": first, "total": total}
+                    for name, first, total in self.indices
+                ],
+                "probability": self.probability,
+                "one_at_a_time": [
+                    {"variable": name, "unit": self.units[name], **dict(zip(_OF_MOVE, numbers, strict=True))}
+                    for name, *numbers in self.moves
+                ],
+                "length_scales": self.length_scales,
+                "p_values": self.p_values,
+                "interval": None,
+                "interval_reason": "the classifier's values, without simulation; the intervals of indices cover their "
+                "sampling",
+                "notes": self.notes,
+            }
+        )
 
 
 def _in_words(estimate: Estimate) -> str:
@@ -203,10 +182,9 @@ def _p_value(p: float) -> str:
     return "< 0.001" if p < 1e-3 else f"{p:.3f}"
 
 
-_COLUMNS = (
-    *("variable", "unit", "first", "first_low", "first_high", "total", "total_low", "total_high"),
-    *("length_scale", "p_value", "value", "low", "high", "probability_at_low", "probability_at_high"),
-)
+_OF_INDEX = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+_OF_MOVE = ("value", "low", "high", "probability_at_low", "probability_at_high")
+_COLUMNS = ("variable", "unit", *_OF_INDEX, "length_scale", "p_value", *_OF_MOVE)
 
 
 def write_csv(sensitivity: SensitivityFindings, target: Target) -> None:
@@ -215,16 +193,17 @@ def write_csv(sensitivity: SensitivityFindings, target: Target) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
-    indices = {index.name: index for index in sensitivity.indices}
-    moves = {move.name: move for move in sensitivity.moves}
+    rows: dict[str, dict[str, object]] = {}
+
+    def set_cells(name: str, cells: Iterable[tuple[str, object]]) -> None:
+        rows.setdefault(name, {"variable": name, "unit": sensitivity.units[name]}).update(cells)
+
+    for name, first, total in sensitivity.indices:
+        set_cells(name, zip(_OF_INDEX, (*first, *total), strict=True))
+    for name, *numbers in sensitivity.moves:
+        set_cells(name, zip(_OF_MOVE, numbers, strict=True))
+    for name in sensitivity.units:
+        beside = {"length_scale": sensitivity.length_scales, "p_value": sensitivity.p_values}
+        set_cells(name, ((column, values[name]) for column, values in beside.items() if name in values))
     with writing(target, _COLUMNS) as write:
-        for name in dict.fromkeys([*indices, *moves, *sensitivity.units]):
-            cells: dict[str, object] = {"variable": name, "unit": sensitivity.units[name]}
-            if index := indices.get(name):
-                cells |= zip(_COLUMNS[2:8], (*index.first, *index.total), strict=True)
-            if move := moves.get(name):
-                values = (move.value, move.low, move.high, move.at_low, move.at_high)
-                cells |= zip(_COLUMNS[10:], values, strict=True)
-            cells["length_scale"] = sensitivity.length_scales.get(name, "")
-            cells["p_value"] = sensitivity.p_values.get(name, "")
-            write([[cells.get(column, "") for column in _COLUMNS]])
+        write([[row.get(column, "") for column in _COLUMNS] for row in rows.values()])

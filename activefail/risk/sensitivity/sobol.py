@@ -1,6 +1,7 @@
 """Sobol' indices of a function of independent variables, by SALib."""
 
 import importlib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -49,16 +50,12 @@ class Decomposition(NamedTuple):
         return tuple(sorted(self.indices, key=lambda index: -index.total.value))
 
 
-Function = Callable[[Array], Array]
-"""Points of the unit cube, (n, d) -> values, (n,)."""
+NOTHING = Decomposition(math.nan, math.nan, math.nan, ())
+"""Of a function without variables."""
 
 
-def require_salib() -> tuple[Any, Any]:
-    """SALib's modules for the sample and the analysis.
-
-    Raises:
-        InputError: if SALib is not installed.
-    """
+def _salib() -> tuple[Any, Any]:
+    """SALib's modules for the sample and the analysis."""
     try:
         return importlib.import_module("SALib.sample.sobol"), importlib.import_module("SALib.analyze.sobol")
     except ImportError:
@@ -73,14 +70,14 @@ def checked_samples(samples: int) -> int:
     Raises:
         InputError: if it is no power of two of at least 16, or SALib is not installed.
     """
-    require_salib()
+    _salib()
     if samples < LEAST_SAMPLES or samples & (samples - 1):
         raise InputError(f"samples: must be a power of two of at least {LEAST_SAMPLES}, got {samples}.")
     return samples
 
 
 def decomposed(
-    function: Function, names: Sequence[str], samples: int, confidence: float, seed: int = SEED
+    function: Callable[[Array], Array], names: Sequence[str], samples: int, confidence: float, seed: int = SEED
 ) -> Decomposition:
     """The Sobol' indices of a function of independent variables, uniform on the unit cube.
 
@@ -90,7 +87,7 @@ def decomposed(
     of a bootstrap over the points, which treats them as independent.
 
     Args:
-        function: evaluated at `samples` · (d + 2) points.
+        function: points of the unit cube, (n, d) -> values, (n,); evaluated at `samples` · (d + 2) points.
         names: of the d variables.
         samples: points of A; a power of two.
         confidence: of the intervals.
@@ -99,7 +96,7 @@ def decomposed(
     Raises:
         InputError: if SALib is not installed.
     """
-    sampling, analysis = require_salib()
+    sampling, analysis = _salib()
     d = len(names)
     problem = {"num_vars": d, "names": list(names), "bounds": [[0.0, 1.0]] * d}
     U = sampling.sample(problem, samples, calc_second_order=False, seed=np.random.default_rng(seed))
