@@ -93,7 +93,7 @@ def test_a_curve_without_a_median_is_not_fitted() -> None:
     low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
     assert fit_lognormal(low) is None
     assert why_not_fitted(low) == "the curve does not cover 10 % to 50 %"
-    linear = Curve(Ladder.between("x", "", -1.0, 1.0, 4, is_log=False), np.linspace(0.0, 1.0, 5), 0.001)
+    linear = Curve(Ladder("x", "", np.linspace(-1.0, 1.0, 5), is_log=False), np.linspace(0.0, 1.0, 5), 0.001)
     assert why_not_fitted(linear) == "some levels of the curve are not positive"
 
 

@@ -33,12 +33,6 @@ class Ladder:
     levels: Array  # (n,) increasing
     is_log: bool  # whether the steps are equal in the logarithm, in which curves are then interpolated
 
-    @classmethod
-    def between(cls, name: str, unit: str, low: float, high: float, steps: int, is_log: bool) -> "Ladder":
-        """Equal steps between two levels, both included."""
-        spaced = np.geomspace if is_log else np.linspace
-        return cls(name, unit, spaced(low, high, steps + 1), is_log)
-
     def coordinate(self, levels: Array) -> Array:
         """Levels, or their logarithms."""
         return np.log(levels) if self.is_log else np.asarray(levels)

@@ -82,7 +82,8 @@ def ladder_of(
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
-    return Ladder.between(against, known_one.unit if known_one else "", low, high, _STEPS, is_log)
+    levels = (np.geomspace if is_log else np.linspace)(low, high, _STEPS + 1)
+    return Ladder(against, known_one.unit if known_one else "", levels, is_log)
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:

@@ -15,9 +15,6 @@ CATEGORIES = ("dmax", "dmin", "cmax", "cmin", "bmax", "bmin")
 RATINGS = {"A": 0.10, "B": 0.20, "C": 0.35, "D": 0.50}
 """Uncertainty of a rating: superior, good, fair, poor [FEMA2009, section 7.3]."""
 
-RECORD_TO_RECORD = 0.4
-"""Dispersion between records of a system with a period-based ductility of at least 3 [FEMA2009, section 7.3]."""
-
 _SHORTEST, _LONGEST = 0.25, 5.0
 """Shortest and longest period of the tables of [FEMA2009, appendix A] [s]."""
 
@@ -110,7 +107,8 @@ class MarginRequest:
                     "scaled together, by their S_T(T). State a shape factor for another scaling with --ssf."
                 )
             if mce is None:
-                mce = mce_intensity(period, self.sdc)
+                # The spectral acceleration of the maximum considered earthquake [FEMA2009, section 6.2.2].
+                mce = float(_package("--sdc", self.sdc).smt(float(period), self.sdc.lower()))
                 last = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
             factor = shape_factor(period, self.ductility, self.sdc, set_name)
             of_factor = (
@@ -166,15 +164,6 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
     return float(package.ssf(float(period), float(ductility), category.lower(), set_name))
 
 
-def mce_intensity(period: float, category: str) -> float:
-    """S_MT [g], the spectral acceleration of the maximum considered earthquake [FEMA2009, section 6.2.2].
-
-    Raises:
-        InputError: if the category is none of `CATEGORIES`, or the package is not installed.
-    """
-    return float(_package("--sdc", category).smt(float(period), category.lower()))
-
-
 def normalised_intensity(period: float, set_name: str) -> float:
     """S_NRT [g], the geometric mean spectral acceleration of a normalised set of records [FEMA2009, table A-3].
 
@@ -208,7 +197,7 @@ def _package(option: str, category: str = CATEGORIES[0]) -> ModuleType:
 
 def record_to_record(ductility: float | None = None) -> float:
     """The dispersion between records, 0.1 + 0.1 μ_T up to 0.4 [FEMA2009, section 7.3]; 0.4 without a ductility."""
-    return RECORD_TO_RECORD if ductility is None else min(0.1 + 0.1 * ductility, RECORD_TO_RECORD)
+    return 0.4 if ductility is None else min(0.1 + 0.1 * ductility, 0.4)
 
 
 def total_dispersion(ratings: str, ductility: float | None = None) -> float:
