@@ -302,13 +302,13 @@ def test_the_explorer_shows_the_probability_and_offers_the_design_point(ended: P
         assert failure.simulations[-1] == len(opened.history)
         assert failure.low[-1] < TRUE < failure.high[-1]
         answers = Answers(opened.findings, failure)
-    shown = page(answers.about(), answers.failure)
+    shown = page("explorer", answers.about(), answers.failure)
     assert "Probability of failure</h2>" in shown
     assert shown.count("<svg") == 2
     starts = {preset["text"]: preset["point"] for preset in answers.about()["presets"]}
     assert starts["the design point of failure"] == pytest.approx(failure.point.X)
     assert starts["the middle of the space"] == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert "Probability of failure</h2>" not in page(answers.about())
+    assert "Probability of failure</h2>" not in page("explorer", answers.about())
 
 
 def test_a_campaign_that_asks_for_no_probability_has_no_such_section(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     assert "an estimate of the probability" not in page
     with open_run(run, code=tmp_path) as opened:
         answers = Answers(opened.findings, opened.failure())
-        shown = explorer(answers.about(), answers.failure)
+        shown = explorer("explorer", answers.about(), answers.failure)
     assert "Under a &lt;worse&gt; site: 0." in shown
     assert "Under the design measure, as are the pictures: reliability index" in shown
 

@@ -1,11 +1,8 @@
 """Answers to the explorer's requests: predictions, planes, fragility curves and simulations, as JSON values."""
 
-import math
 import shlex
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, astuple
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,10 +27,9 @@ from activefail.figures.outcome_planes import plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.prediction import Prediction, interval, predict
+from activefail.findings.prediction import interval, predict
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary
-from activefail.reliability.integral import Standardised
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
@@ -43,9 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _GRID, _CURVE, _FRAMES = 36, 81, 240
-
-_AT_ONCE = 128
-"""Designs predicted in one go, which limits how long another request waits."""
 
 UNCERTAINTY = "uncertainty"
 """What a plane shows in place of an outcome's probability."""
@@ -75,10 +68,8 @@ class Slider(NamedTuple):
 
 
 def _listed(values: Array, digits: int) -> list[Any]:
-    """Rounded numbers for JSON; None if not finite."""
-    rounded = np.round(values, digits)
-    listed: list[Any] = np.where(np.isfinite(rounded), rounded.astype(object), np.array(None)).tolist()
-    return listed
+    """Rounded numbers for JSON."""
+    return np.round(values, digits).tolist()  # type: ignore[no-any-return]
 
 
 class Answers:
@@ -90,7 +81,6 @@ class Answers:
         shown: what a plane can show.
         quantities: the variables, as shown to a reader.
         sliders: of the variables, in the middle of the space.
-        drawing: held while a figure is drawn.
     """
 
     def __init__(self, findings: Findings, failure: FailureFindings | None = None) -> None:
@@ -100,8 +90,6 @@ class Answers:
         self.outcomes = findings.campaign.simulator.outcomes
         self.shown = (*self.outcomes[1:], UNCERTAINTY)
         self.quantities = quantities.variables(findings.campaign)
-        # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
-        self.next_turn, self._learning, self.drawing = threading.Lock(), threading.Lock(), threading.Lock()
         middle = middle_of(self.space)
         self.sliders = tuple(
             Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start)
@@ -137,17 +125,14 @@ class Answers:
 
     def about(self) -> Answer:
         """The data that the page contains from the start."""
-        settings, findings = self.campaign.settings, self.findings
-        influence = findings.influence
+        settings, findings, names = self.campaign.settings, self.findings, self.space.names
+        ranking = np.argsort(-findings.influence, kind="stable").tolist()
         presets = [("the middle of the space", np.array(middle_of(self.space)))]
         if self._failure is not None and self._failure.point is not None:
             presets.append((f"the design point of {findings.beyond}", self._failure.point.X))
         for row, _ in at_the_boundary(findings):
-            text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {row}"
+            text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {findings.ids[row]}"
             presets.append((text, findings.X[row]))
-        names = self.space.names
-        ranking = np.argsort(-influence, kind="stable").tolist()
-        plane = [names[column] for column in ranking[:2]]
         return {
             "title": visible(settings.description or findings.folder.name),
             "simulations": len(findings.X),
@@ -158,7 +143,7 @@ class Answers:
             ],
             "beyond": findings.beyond,
             "presets": [{"text": text, "point": X.tolist()} for text, X in presets],
-            "plane": plane,
+            "plane": [names[column] for column in ranking[:2]],
             "along": "A_p" if "A_p" in names else names[ranking[0]],
             "simulates": self.simulates,
         }
@@ -168,41 +153,9 @@ class Answers:
         """Numbers and pictures of the probability of failure, if the campaign says something of it."""
         return failure_section(self.findings, self._failure)
 
-    @contextmanager
-    def turn(self) -> Iterator[None]:
-        """Exclusive use of the classifier; a waiting thread comes before one that has just had it."""
-        with self.next_turn:
-            self._learning.acquire()
-        try:
-            yield
-        finally:
-            self._learning.release()
-
-    def in_turns(self, of_designs: Standardised) -> Standardised:
-        """A function of designs, (n, d), in parts, between which other threads get their turn."""
-
-        def of_parts(X: Array) -> Array:
-            parts = []
-            for part in np.array_split(X, max(1, math.ceil(len(X) / _AT_ONCE))):
-                with self.turn():
-                    parts.append(of_designs(part))
-            return np.concatenate(parts)
-
-        return of_parts
-
-    def _predict(self, X: Array) -> Prediction:
-        """Predict many designs, (n, d), in turns."""
-        k = len(self.outcomes)
-        columns = self.in_turns(
-            lambda part: np.column_stack(astuple(predict(self.campaign, self.findings.classifier, part)))
-        )(X)
-        return Prediction(columns[:, :k], *columns[:, k:].T)
-
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
-        classifier = self.findings.classifier
-        with self.turn():
-            predicted = classifier.predicted(np.array([point]))
+        predicted = self.findings.classifier.predicted(np.array([point]))
         boundaries = []
         for severity, name in enumerate(self.outcomes[1:], start=1):
             low, high = (float(end[0]) for end in interval(predicted, severity))
@@ -229,16 +182,15 @@ class Answers:
         grid_x, grid_y = np.meshgrid(along_x, along_y)
         rows = np.tile(np.array(point), (grid_x.size, 1))
         rows[:, x], rows[:, y] = grid_x.ravel(), grid_y.ravel()
-        prediction = self._predict(rows)
+        prediction = predict(self.campaign, self.findings.classifier, rows)
         uncertain = shown == UNCERTAINTY
         if uncertain:
             values, title = prediction.high - prediction.low, f"uncertainty of P({plain(self.findings.beyond)})"
         else:
             values, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
-        with self.drawing:
-            axes_of = self.quantities[x], self.quantities[y]
-            figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)
-            svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
+        axes_of = self.quantities[x], self.quantities[y]
+        figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)
+        svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
@@ -246,19 +198,16 @@ class Answers:
         values = np.linspace(self.space.low[along], self.space.high[along], _CURVE)
         rows = np.tile(np.array(point), (len(values), 1))
         rows[:, along] = values
-        prediction = self._predict(rows)
-        with self.drawing:
-            figure = plot_fragility(
-                values,
-                prediction.beyond,
-                prediction.low,
-                prediction.high,
-                self.quantities[along],
-                plain(self.findings.beyond),
-                point[along],
-                outcome_colour(self.outcomes, self.campaign.severity),
-            )
-            svg = inline(figure, "fragility", f"P({self.findings.beyond}) against {self.space.names[along]}")
+        prediction = predict(self.campaign, self.findings.classifier, rows)
+        figure = plot_fragility(
+            values,
+            prediction,
+            self.quantities[along],
+            plain(self.findings.beyond),
+            point[along],
+            outcome_colour(self.outcomes, self.campaign.severity),
+        )
+        svg = inline(figure, "fragility", f"P({self.findings.beyond}) against {self.space.names[along]}")
         return {"svg": str(svg)}
 
     def simulate(self, point: Sequence[float]) -> Answer:
@@ -309,10 +258,9 @@ class Answers:
             InputError: if the campaign's simulator has no bearing to show, or the response holds no motion.
         """
         _, response = self._simulated(point)
-        with self.drawing:
-            figure = plot_histories(response, width=3.6 if narrow else 5.2)
-            svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
-            first, last = figure.axes[0], figure.axes[-1]
+        figure = plot_histories(response, width=3.6 if narrow else 5.2)
+        svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
+        first, last = figure.axes[0], figure.axes[-1]
         return {"svg": str(svg), "axes": _place(first, last), "times": list(last.get_xlim())}
 
     def _simulated(self, point: Sequence[float]) -> tuple[DfpSimulator, Response]:

@@ -95,12 +95,6 @@ export async function ask(question, data) {
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(data),
   });
-  if (response.status === 503) {
-    // The server is busy and says when to retry.
-    const seconds = Number(response.headers.get("Retry-After")) || 1;
-    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
-    return ask(question, data);
-  }
   const answer = await response.json();
   if (!response.ok) throw new Error(answer.error || response.statusText);
   document.body.dataset[`${question}Ms`] = (performance.now() - start).toFixed(1);

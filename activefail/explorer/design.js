@@ -9,12 +9,9 @@ function begin() {
   const quantities = [...about.periods, ...about.site, ...about.bearing];
   const values = quantities.map((v) => v.start);
   const firstOfBearing = about.periods.length + about.site.length;
-  const REST = 500; // [ms] after which the sliders are at rest
   let target = about.targets[0].value;
   let byPeriod = 0;
   let version = 0;
-  let isRefined = false;
-  let timer = null;
 
   // --- the answer --------------------------------------------------------------------------------------------------
 
@@ -41,43 +38,27 @@ function begin() {
 
   function showAnswer(answer) {
     dim(false);
-    isRefined = answer.refined;
     find("required").replaceChildren(withSubscripts(answer.text));
-    Object.assign(find("required").dataset, { required: answer.required, probability: answer.probability, points: answer.points });
-    const accuracy = isRefined ? `From ${answer.points} points` : `Roughly, from ${answer.points} points; more follow`;
+    Object.assign(find("required").dataset, { required: answer.required, probability: answer.probability });
     const period = plain(Number(answer.median_period.toPrecision(3)));
     const outside = `${answer.outside_text} of the pulses and bearings lie outside the campaign's design space, where the classifier extrapolates`;
-    find("accuracy").replaceChildren(withSubscripts(`${accuracy}, without an interval. Median T_p ${period} s. ${outside}.`));
+    find("accuracy").replaceChildren(withSubscripts(`Without an interval. Median T_p ${period} s. ${outside}.`));
     showDrawing(find("curve"), answer.svg);
     listed("notes", answer.notes);
   }
 
-  const refine = latest(async () => {
+  const answer = latest(async () => {
     const asked = version;
-    const answer = await ask("design", { ...request(), refined: true });
-    if (asked === version) showAnswer(answer);
+    const reply = await ask("design", request());
+    if (asked === version) showAnswer(reply);
   });
 
-  const answerAtOnce = latest(async () => {
-    const asked = version;
-    const answer = await ask("design", { ...request(), refined: false });
-    if (asked === version) showAnswer(answer);
-  });
-
-  function moved(changed) {
+  function moved() {
     version += 1;
     dim(true);
     show();
     if (find("earlier")) find("earlier").hidden = find("found").hidden;
-    clearTimeout(timer);
-    // Where only the target has changed, the server knows the curve.
-    if (isRefined && !changed) {
-      refine();
-      return;
-    }
-    isRefined = false;
-    answerAtOnce();
-    timer = setTimeout(refine, REST);
+    answer();
   }
 
   const { show } = sliders(quantities, values, moved);
@@ -98,7 +79,7 @@ function begin() {
     button.addEventListener("change", (event) => {
       byPeriod = Number(event.target.value);
       showPeriods();
-      moved([byPeriod]);
+      moved();
     }),
   );
   find("category").addEventListener("change", (event) => {
@@ -143,7 +124,7 @@ function begin() {
     find("found").hidden = job.state !== "done";
     if (job.state !== "done") return;
     const { result } = job;
-    find("verdict").textContent = result.verdict;
+    find("verdict").replaceChildren(withSubscripts(result.verdict));
     find("verdict").dataset.status = result.status;
     find("estimate").replaceChildren(withSubscripts(result.text));
     listed("assumptions", result.assumptions);
@@ -205,5 +186,5 @@ function begin() {
   }
   showPeriods();
   showTarget();
-  moved([]);
+  moved();
 }

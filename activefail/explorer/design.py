@@ -1,9 +1,8 @@
 """Answers of the page Design: the displacement capacity that a target requires, under the classifier and verified."""
 
-from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +38,6 @@ from activefail.visible import visible
 _ALONG = 9
 """Values of the displacement capacity on the curve."""
 
-_AT_ONCE, _REFINED = 128, 1024
-"""Points of an integral: at once, and when the sliders rest."""
-
 _TRIALS = 3
 """Values between two of the curve whose probabilities are compared with the target."""
 
@@ -76,15 +72,14 @@ Numbers = tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class _InTurns(Estimator):
-    """An estimator whose predictions leave other visitors their turns, and end when the verification must stop."""
+class _Watched(Estimator):
+    """An estimator whose predictions are counted, and end when the verification must stop."""
 
-    answers: Answers
     verification: Verification
 
     def standardised(self, outcome: str) -> Standardised:
         """An outcome's boundary as a function of designs."""
-        return self._watched(boundary_of(self.classifier, self.campaign.features, outcome))
+        return self._watched(super().standardised(outcome))
 
     @property
     def boundaries(self) -> Boundaries:
@@ -96,7 +91,50 @@ class _InTurns(Estimator):
             self.verification.predicted(len(X))
             return of_designs(X)
 
-        return self.answers.in_turns(watched)
+        return watched
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """The probability beyond the target boundary against the displacement capacity, for one site and bearing.
+
+    Attributes:
+        boundary: as a function of designs.
+        hazard, question: of the site and the bearing.
+        outside: share of the question's distribution outside the campaign's design space.
+        grid: (n,) displacement capacities.
+        P: (n,) their probabilities.
+    """
+
+    boundary: Standardised
+    hazard: Hazard
+    question: Question
+    outside: float
+    grid: Array
+
+    @cached_property
+    def P(self) -> Array:
+        return np.array([self.probability(at) for at in self.grid.tolist()])
+
+    def probability(self, at: float) -> float:
+        """At a displacement capacity."""
+        return classifier_probability(self.boundary, self.question.at({CAPACITY: at}))
+
+    def least(self, target: float) -> float:
+        """The least capacity that meets a target, as do all larger ones of the grid; NaN if there is none."""
+        value = least_value(self.grid, self.P, target)
+        if not self.grid[0] < value < self.grid[-1]:
+            return value
+        k = int(np.searchsorted(self.grid, value))
+        safe, of_safe = float(self.grid[k]), float(self.P[k])
+        for _ in range(_TRIALS):
+            # Between two values of the grid the curve may bend upwards.
+            found = self.probability(value)
+            if found <= target:
+                return value
+            value = least_value(np.array([value, safe]), np.array([found, of_safe]), target)
+            value += _TOWARDS_SAFETY * (safe - value)
+        return safe
 
 
 class DesignAnswers:
@@ -110,23 +148,18 @@ class DesignAnswers:
         self._answers, self.campaign, self.space = answers, answers.campaign, answers.space
         self._boundary = answers.findings.boundary
         self.missing = self._missing()
-        boundary = boundary_of(answers.findings.classifier, self.campaign.features, self._boundary)
-        self._standardised = answers.in_turns(boundary)
-        # What visitors ask for is close to what they asked for before, and a target alone changes no curve.
-        self._question = lru_cache(64)(self._question_of)
-        self._outside = lru_cache(64)(self._outside_of)
-        self._probability = lru_cache(4096)(self._probability_of)
+        # A target alone changes no curve.
+        self._curve = lru_cache(64)(self._curve_of)
 
     def _missing(self) -> str:
-        needs = "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot."
-        try:
+        with suppress(InputError):
             check_pulse(self.space, "design")
-        except InputError:
-            variables = visible(", ".join(self.space.names))
-            return f"{needs} This campaign has the variables {variables}. {_BY_COMMAND}"
-        if CAPACITY not in self.space.names:
-            return f"{needs} In this campaign D_tot is not a variable. {_BY_COMMAND}"
-        return ""
+            if CAPACITY in self.space.names:
+                return ""
+        return (
+            "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot. "
+            f"This campaign has the variables {visible(', '.join(self.space.names))}. {_BY_COMMAND}"
+        )
 
     @property
     def _quantity(self) -> Quantity:
@@ -177,47 +210,36 @@ class DesignAnswers:
         period = next((one for one in _PERIODS if isinstance(values, dict) and one.name in values), MAGNITUDE)
         return _numbers((period, *self._others))(name, values)  # type: ignore[no-any-return]
 
-    def required(self, site: Numbers, bearing: Numbers, target: float, refined: bool = False) -> Answer:
+    def required(self, site: Numbers, bearing: Numbers, target: float) -> Answer:
         """The displacement capacity that a target requires under the classifier, and the curve that it is read off.
 
         Args:
             site: numbers of the hazard.
             bearing: values of the other variables.
             target: largest acceptable probability.
-            refined: whether to take more time for a more accurate answer.
         """
-        points = _REFINED if refined else _AT_ONCE
-
-        def probability(at: float) -> float:
-            return self._probability(site, bearing, at, points)
-
-        low, high = self._range
-        grid = np.linspace(low, high, _ALONG)
-        P = np.array([probability(x) for x in grid.tolist()])
-        value = least_value(grid, P, target)
+        curve = self._curve(site, bearing)
+        value = curve.least(target)
         is_met = bool(np.isfinite(value))
-        if is_met and low < value < high:
-            k = int(np.searchsorted(grid, value))
-            value = _met_between(probability, target, value, (float(grid[k]), float(P[k])))
         # A smaller one may meet the target where a larger one does not: failure is not monotone.
-        at = value if is_met else high if P.min() <= target else float(grid[int(np.argmin(P))])
-        hazard, terms = _hazard(site), terms_of(self.campaign.simulator, {**dict(bearing), CAPACITY: at})
+        nearest = curve.grid[-1] if curve.P.min() <= target else curve.grid[np.argmin(curve.P)]
+        at = value if is_met else float(nearest)
+        probability = curve.probability(at)
+        terms = terms_of(self.campaign.simulator, {**dict(bearing), CAPACITY: at})
         return {
             "required": value if is_met else None,
-            "probability": probability(at),
-            "text": self._sentence(is_met, at, probability(at), target),
-            "grid": grid.tolist(),
-            "curve": P.tolist(),
-            "points": points,
-            "refined": refined,
-            "median_period": hazard.median_period,
-            "outside_text": percent(self._outside(site, bearing)),
+            "probability": probability,
+            "text": self._sentence(is_met, at, probability, target),
+            "grid": curve.grid.tolist(),
+            "curve": curve.P.tolist(),
+            "median_period": curve.hazard.median_period,
+            "outside_text": percent(curve.outside),
             "notes": [
                 *([] if terms is None else [f"{CAPACITY} = {self._with_unit(significant(at))}: {terms.text}."]),
                 *_NOTES,
-                *hazard.assumptions,
+                *curve.hazard.assumptions,
             ],
-            "svg": self._drawn(grid, P, target, value),
+            "svg": self._drawn(curve, target, value),
         }
 
     def verified(self, verification: Verification, site: Numbers, bearing: Numbers, target: float) -> Answer:
@@ -232,7 +254,8 @@ class DesignAnswers:
             SimulationError: if no simulation gives an outcome.
         """
         campaign, findings = self.campaign, self._answers.findings
-        asked = Inquiry(campaign, self._question(site, bearing), _hazard(site))
+        curve = self._curve(site, bearing)
+        asked = Inquiry(campaign, curve.question, curve.hazard)
         task = design_task(asked, (Requirement(self._boundary, target),), (CAPACITY,))
         last = int(findings.iteration[-1])
 
@@ -240,9 +263,8 @@ class DesignAnswers:
             return nullcontext(lambda _: verification.simulated)
 
         with CountingExecutor(local_executor(campaign.simulator), counting) as executor:
-            estimator = _InTurns(
-                campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, verification
-            )
+            store = MemoryStore(campaign.schema)
+            estimator = _Watched(campaign, store, executor, findings.classifier, last, verification)
             designed = find_design(estimator, task, verification.stage)
         of_design = DesignFindings(designed, designed.question.outside(self.space))
         numbers, value = of_design.as_json(), designed.values[CAPACITY]
@@ -274,15 +296,14 @@ class DesignAnswers:
         column = self.space.names.index(CAPACITY)
         return float(self.space.low[column]), float(self.space.high[column])
 
-    def _question_of(self, site: Numbers, bearing: Numbers) -> Question:
-        return hazard_question(_hazard(site), self.space, dict(bearing))
-
-    def _outside_of(self, site: Numbers, bearing: Numbers) -> float:
+    def _curve_of(self, site: Numbers, bearing: Numbers) -> _Curve:
+        boundary = boundary_of(self._answers.findings.classifier, self.campaign.features, self._boundary)
+        hazard = _hazard(site)
+        question = hazard_question(hazard, self.space, dict(bearing))
+        grid = np.linspace(*self._range, _ALONG)
         # D_tot stays within its range.
-        return self._question(site, bearing).at({CAPACITY: self._range[1]}).share_outside(self.space)
-
-    def _probability_of(self, site: Numbers, bearing: Numbers, at: float, points: int) -> float:
-        return classifier_probability(self._standardised, self._question(site, bearing).at({CAPACITY: at}), points)
+        outside = question.at({CAPACITY: self._range[1]}).share_outside(self.space)
+        return _Curve(boundary, hazard, question, outside, grid)
 
     def _sentence(self, is_met: bool, at: float, probability: float, target: float) -> str:
         event = f"P({self._answers.findings.beyond})"
@@ -300,40 +321,11 @@ class DesignAnswers:
     def _with_unit(self, number: str) -> str:
         return f"{number} {self._quantity.unit}".strip()
 
-    def _drawn(self, grid: Array, P: Array, target: float, value: float) -> str:
+    def _drawn(self, curve: _Curve, target: float, value: float) -> str:
         answers = self._answers
-        with answers.drawing:
-            figure = plot_required_value(
-                grid,
-                P,
-                target,
-                value,
-                self._quantity,
-                plain(answers.findings.beyond),
-                outcome_colour(answers.outcomes, self.campaign.severity),
-            )
-            alternative = f"P({answers.findings.beyond}) against {CAPACITY}, with the target"
-            return str(inline(figure, "required", alternative))
-
-
-def _met_between(
-    probability: Callable[[float], float], target: float, value: float, safe: tuple[float, float]
-) -> float:
-    """An interpolated value, or one beyond it where its probability exceeds the target.
-
-    Args:
-        probability: of a value.
-        target: largest acceptable probability.
-        value: the interpolated one.
-        safe: a value beyond it that meets the target, and its probability.
-    """
-    for _ in range(_TRIALS):
-        found = probability(value)
-        if found <= target:
-            return value
-        value = least_value(np.array([value, safe[0]]), np.array([found, safe[1]]), target)
-        value += _TOWARDS_SAFETY * (safe[0] - value)
-    return safe[0]
+        beyond, colour = plain(answers.findings.beyond), outcome_colour(answers.outcomes, self.campaign.severity)
+        figure = plot_required_value(curve.grid, curve.P, target, value, self._quantity, beyond, colour)
+        return str(inline(figure, "required", f"P({answers.findings.beyond}) against {CAPACITY}, with the target"))
 
 
 def _hazard(site: Numbers) -> Hazard:

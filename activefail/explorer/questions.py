@@ -33,22 +33,12 @@ def number(low: float, high: float) -> Reader:
     return read_number
 
 
-def one_of(*words: str) -> Reader:
-    """One of some words."""
+def one_of(*choices: Any) -> Reader:
+    """One of some values."""
 
-    def read_word(name: str, value: Any) -> str:
-        if value not in words:
-            raise InputError(f"{name}: must be one of {', '.join(words)}, got {value!r}.")
-        return str(value)
+    def read_choice(name: str, value: Any) -> Any:
+        if value not in choices:
+            raise InputError(f"{name}: must be one of {', '.join(map(str, choices))}, got {value!r}.")
+        return value
 
-    return read_word
-
-
-def is_true(_: str, value: Any) -> bool:
-    """Whether a value is true."""
-    return value is True
-
-
-def itself(_: str, value: Any) -> Any:
-    """A value that its room checks."""
-    return value
+    return read_choice

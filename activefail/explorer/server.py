@@ -4,8 +4,7 @@ It changes nothing and reads only its own files. It answers only requests whose 
 Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. Beyond the loopback
 interface a request also needs the token. At most one verification runs in the background.
 
-Each connection has a thread. Their number is bounded, and so is the number of questions in progress: any further
-question is answered with 503 and Retry-After.
+Each connection has a thread, and their number is bounded.
 """
 
 import hmac
@@ -27,8 +26,8 @@ from activefail import __version__
 from activefail.errors import InputError
 from activefail.explorer.answers import Answer, Answers
 from activefail.explorer.design import DesignAnswers
-from activefail.explorer.questions import Reader, is_true, itself, one_of, read
-from activefail.explorer.verification import AlreadyRunningError, Verifications
+from activefail.explorer.questions import Reader, one_of, read
+from activefail.explorer.verification import Verifications
 from activefail.report.environment import page_environment
 
 LONGEST_BODY = 4096
@@ -36,9 +35,6 @@ LONGEST_BODY = 4096
 
 MOST_CONNECTIONS = 512
 """Most open connections; each has a thread, and is closed when nothing comes for `_Handler.timeout`."""
-
-MOST_QUESTIONS = 32
-"""Most questions in progress. A browser opens at most six connections to a server."""
 
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
@@ -74,23 +70,16 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return None
 
 
-def page(about: Answer, failure: dict[str, Any] | None = None) -> str:
-    """Render the page of a campaign.
+def page(name: str, about: Answer, failure: dict[str, Any] | None = None) -> str:
+    """Render a page of a campaign, "explorer" or "design".
 
     Args:
+        name: of the page.
         about: the data that the page contains from the start.
         failure: numbers and pictures of the probability of failure; None without one.
     """
-    return _rendered("explorer.html.j2", about=about, failure=failure)
-
-
-def design_page(about: Answer) -> str:
-    """Render the page Design of a campaign from the data that it contains from the start."""
-    return _rendered("design.html.j2", about=about)
-
-
-def _rendered(template: str, **values: Any) -> str:
-    return page_environment("activefail.explorer").get_template(template).render(version=__version__, **values)
+    template = page_environment("activefail.explorer").get_template(f"{name}.html.j2")
+    return template.render(version=__version__, about=about, failure=failure)
 
 
 class Question(NamedTuple):
@@ -110,7 +99,6 @@ class ExplorerServer(ThreadingHTTPServer):
 
     Attributes:
         token: required of visitors; empty on the loopback interface.
-        turns: limits the questions in progress.
         pages: of the campaign, by path.
         questions: that the pages ask with POST, by path.
         verifications: in the background.
@@ -125,10 +113,12 @@ class ExplorerServer(ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int, answers: Answers) -> None:
         self._host = host
-        self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
         design = DesignAnswers(answers)
-        self.pages = {"/": page(answers.about(), answers.failure), "/design": design_page(design.about())}
+        self.pages = {
+            "/": page("explorer", answers.about(), answers.failure),
+            "/design": page("design", design.about()),
+        }
         self.verifications = Verifications()
         self.questions = self._questions(answers, design)
         bound = host.strip("[]")
@@ -152,11 +142,11 @@ class ExplorerServer(ThreadingHTTPServer):
             "/api/plane": Question(answers.plane, point | {"x": variable, "y": variable, "shown": shown}),
             "/api/fragility": Question(answers.fragility, point | {"along": variable}),
             "/api/simulate": Question(answers.simulate, point),
-            "/api/histories": Question(answers.histories, point | {"narrow": is_true}),
-            "/api/design": Question(design.required, design.readers | {"refined": is_true}),
+            "/api/histories": Question(answers.histories, point | {"narrow": one_of(True, False)}),
+            "/api/design": Question(design.required, design.readers),
             "/api/verify": Question(verify, design.readers),
-            "/api/progress": Question(self.verifications.progress, {"id": itself}),
-            "/api/stop": Question(self.verifications.stop, {"id": itself}),
+            "/api/progress": Question(lambda id: id.progress(), {"id": self.verifications.named}),
+            "/api/stop": Question(lambda id: id.stop(), {"id": self.verifications.named}),
         }
 
     def server_close(self) -> None:
@@ -195,12 +185,11 @@ class _RefusedError(Exception):
 
     Attributes:
         status: of the response.
-        headers: of the response, besides those of every one.
     """
 
-    def __init__(self, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> None:
+    def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
-        self.status, self.headers = status, headers or {}
+        self.status = status
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -228,9 +217,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._check_visitor()
             respond()
         except _RefusedError as error:
-            self._refuse(error.status, str(error), error.headers)
-        except AlreadyRunningError as error:
-            self._refuse(HTTPStatus.CONFLICT, str(error))
+            self._refuse(error.status, str(error))
         except InputError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         except (ConnectionError, TimeoutError):
@@ -286,14 +273,7 @@ class _Handler(BaseHTTPRequestHandler):
         asked = self.server.questions.get(self.path)
         if asked is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Unknown request.")
-        arguments = read(self._question(), asked.readers)
-        if not self.server.turns.acquire(blocking=False):
-            busy = "The explorer is busy; try again."
-            raise _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, busy, {"Retry-After": "1"})
-        try:
-            answer = asked.answer(**arguments)
-        finally:
-            self.server.turns.release()
+        answer = asked.answer(**read(self._question(), asked.readers))
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer, allow_nan=False).encode())
 
     def _question(self) -> Any:
@@ -318,11 +298,10 @@ class _Handler(BaseHTTPRequestHandler):
         """Send the base class's own errors, such as an unknown method, as JSON."""
         self._refuse(HTTPStatus(code), message or HTTPStatus(code).phrase)
 
-    def _refuse(self, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> None:
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
         # Unread data on the connection would be parsed as the next request.
         self.close_connection = True
-        body = json.dumps({"error": text}).encode()
-        self._send(status, "application/json", body, {"Connection": "close", **(headers or {})})
+        self._send(status, "application/json", json.dumps({"error": text}).encode(), {"Connection": "close"})
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes, headers: Mapping[str, str] | None = None) -> None:
         self.send_response(status)

@@ -15,10 +15,6 @@ STEPS = 2 * len(LOOKS)
 """Most stages of a verification: a search and simulations for each look."""
 
 
-class AlreadyRunningError(InputError):
-    """Another verification is running."""
-
-
 class StoppedError(Exception):
     """A visitor stopped the verification."""
 
@@ -35,6 +31,7 @@ class Verification:
         predictions, simulations: so far.
         result: once it is done.
         error: why it failed.
+        must_stop: whether it ends, as it does between two predictions or simulations.
     """
 
     id: str = field(default_factory=lambda: secrets.token_urlsafe(12))
@@ -46,13 +43,16 @@ class Verification:
     simulations: int = 0
     result: dict[str, Any] | None = None
     error: str = ""
+    must_stop: bool = False
 
-    def __post_init__(self) -> None:
-        self._stop = threading.Event()
+    def stop(self) -> dict[str, Any]:
+        """Ask it to stop; its progress."""
+        self.must_stop = True
+        return self.progress()
 
-    def stop(self) -> None:
-        """Ask it to stop, which it does between two predictions or simulations."""
-        self._stop.set()
+    def progress(self) -> dict[str, Any]:
+        """How far it is, as JSON values."""
+        return asdict(self)
 
     def check(self) -> None:
         """Return, unless the verification must stop.
@@ -60,7 +60,7 @@ class Verification:
         Raises:
             StoppedError: if it must.
         """
-        if self._stop.is_set():
+        if self.must_stop:
             raise StoppedError
 
     def stage(self, text: str) -> None:
@@ -98,45 +98,36 @@ class Verifications:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._last: Verification | None = None
-        self._thread: threading.Thread | None = None
+        self._last = Verification(state="none")
+        self._thread = threading.Thread()
 
     def start(self, work: Callable[[Verification], dict[str, Any]]) -> dict[str, Any]:
         """Start a verification in a thread of its own; its progress.
 
         Raises:
-            AlreadyRunningError: if another one is running.
+            InputError: if another one is running.
         """
         with self._lock:
-            if self._thread is not None and self._thread.is_alive():
-                raise AlreadyRunningError("Another verification is running. Wait until it ends.")
+            if self._last.state == "running":
+                raise InputError("Another verification is running. Wait until it ends.")
             self._last = Verification()
             # The process does not wait for it.
             self._thread = threading.Thread(target=self._last.run, args=(work,), daemon=True)
             self._thread.start()
-            return asdict(self._last)
+            return self._last.progress()
 
-    def progress(self, id: Any) -> dict[str, Any]:
-        """How far the last verification is.
+    def named(self, name: str, id: Any) -> Verification:
+        """Read the id of the last verification in a question.
 
         Raises:
-            InputError: if the id is not that of the last one.
+            InputError: if it is another one's.
         """
-        return asdict(self._named(id))
-
-    def stop(self, id: Any) -> dict[str, Any]:
-        """Ask the last verification to stop; its progress. Raises as `progress` does."""
-        verification = self._named(id)
-        verification.stop()
-        return asdict(verification)
-
-    def _named(self, id: Any) -> Verification:
-        if self._last is None or id != self._last.id:
-            raise InputError("id: must be that of the last verification; verify again.")
+        if id != self._last.id:
+            raise InputError(f"{name}: must be that of the last verification; verify again.")
         return self._last
 
     def close(self) -> None:
         """Stop the running one, if any, and wait for its end."""
-        if self._last is not None and self._thread is not None:
+        if self._last.state == "running":
             self._last.stop()
             self._thread.join()

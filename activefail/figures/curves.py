@@ -14,16 +14,14 @@ from activefail.figures.axes import legend_outside, log_sizes, panel
 from activefail.figures.style import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
-    ORANGE,
-    PURPLE,
-    SKY_BLUE,
+    LINE_COLOURS,
+    LINE_MARKERS,
     VERMILION,
-    YELLOW,
     fitting_size,
     styled,
 )
+from activefail.findings.prediction import Prediction
 from activefail.findings.quantities import Quantity
 from activefail.space import Array
 
@@ -74,10 +72,6 @@ def _accuracy_of(group: Sequence[Score]) -> tuple[float, float, float]:
     return float(np.median(values)), min(values), max(values)
 
 
-_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK, YELLOW)
-_MARKERS = "osD^vP*X"
-
-
 @styled()
 def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str, title: str) -> Figure:
     """A measure against simulations over seeds, one line for each pair of features and sampling.
@@ -90,8 +84,8 @@ def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str,
     figure, axes = panel(7.6, 5.0)
     features, samplings = (list(dict.fromkeys(key[part] for key in curves)) for part in (0, 1))
     for (feature, sampling), points in curves.items():
-        colour = _COLOURS[features.index(feature) % len(_COLOURS)]
-        marker = _MARKERS[samplings.index(sampling) % len(_MARKERS)]
+        colour = LINE_COLOURS[features.index(feature) % len(LINE_COLOURS)]
+        marker = LINE_MARKERS[samplings.index(sampling) % len(LINE_MARKERS)]
         n = np.array([point.simulations for point in points])
         values = np.array([point.values for point in points])
         axes.fill_between(n, values.min(axis=1), values.max(axis=1), color=colour, alpha=0.12, linewidth=0.0)
@@ -108,28 +102,22 @@ def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str,
 
 @styled()
 def plot_fragility(
-    values: Array,
-    probability: Array,
-    low: Array,
-    high: Array,
-    along: Quantity,
-    beyond: str,
-    current: float,
-    colour: str,
+    values: Array, prediction: Prediction, along: Quantity, beyond: str, current: float, colour: str
 ) -> Figure:
-    """A probability with its interval against one variable, (n,) each, with all others fixed.
+    """A probability with its interval against one variable, with all others fixed.
 
     Args:
-        values: of the variable.
-        probability, low, high: the probability and its interval.
+        values: (n,) of the variable.
+        prediction: (n,) of the probability and its interval.
         along: the variable.
         beyond: the event of the probability, as mathtext.
         current: the point's value of the variable.
         colour: of the curve.
     """
     figure, axes = panel(4.0, 3.2)
+    low, high = prediction.low, prediction.high
     axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0.0, label="95 % interval")
-    axes.plot(values, probability, color=colour, linewidth=1.8, label=f"P({beyond})")
+    axes.plot(values, prediction.beyond, color=colour, linewidth=1.8, label=f"P({beyond})")
     axes.axvline(current, color=BLACK, linestyle=":", label="this point")
     axes.axhline(0.5, color=GREY, linewidth=0.8, linestyle="--")
     axes.set(xlim=(values[0], values[-1]), ylim=(-0.02, 1.02))

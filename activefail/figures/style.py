@@ -6,6 +6,7 @@ Importing this module does not import matplotlib; entering `styled` does.
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from activefail.files import replacing, target_of
@@ -25,6 +26,10 @@ PURPLE = "#CC79A7"
 
 GREY = "#6B7280"
 LIGHT_GREY = "#D5DAE1"
+
+LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK, YELLOW)
+LINE_MARKERS = "os^vPX*d"
+"""Of lines that are no outcomes. Both differ, so that no reader depends on colour alone."""
 
 OUTCOME_COLOURS = {"no_impact": BLUE, "impact": ORANGE, "failure": VERMILION, "numerical_failure": GREY}
 """One colour for each outcome, in all figures."""
@@ -59,12 +64,18 @@ RC: dict[Any, Any] = {
 """matplotlib's settings for all figures."""
 
 
+_DRAWING = RLock()
+
+
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply the style within a block, and restore the user's settings afterwards."""
+    """Apply the style within a block, and restore the user's settings afterwards; one thread at a time.
+
+    All threads share matplotlib's settings.
+    """
     import matplotlib
 
-    with matplotlib.rc_context(RC):
+    with _DRAWING, matplotlib.rc_context(RC):
         yield
 
 

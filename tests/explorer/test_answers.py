@@ -2,21 +2,18 @@
 
 import json
 import shlex
-import threading
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from campaign.stub import disc
 from explorer.conftest import answers_of
-from patience import until
 from report.test_report import other, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
 from activefail.cli.app import app
 from activefail.errors import InputError
-from activefail.explorer import answers as explorer_answers
 from activefail.explorer.server import page
 from activefail.findings.prediction import predict
 
@@ -102,33 +99,18 @@ def test_a_plane_says_where_its_axes_are_and_names_their_units(answers):
     assert answers.plane(FAILING, 7, 8, "uncertainty")["svg"] != reply["svg"]
 
 
-def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
-    turns = []
-    visitor = threading.Thread(target=answers.predict, args=(FAILING,))
-    turn = answers.turn
+def test_visitors_who_ask_at_once_get_what_each_would_get_alone(answers):
+    def asked(number):
+        return answers.predict(FAILING) if number % 2 else answers.plane(FAILING, 7, 8, "failure")
 
-    @contextmanager
-    def noted():
-        with turn():
-            turns.append("visitor" if threading.current_thread() is visitor else "plane")
-            yield
-
-    def part(campaign, classifier, rows):
-        if len(turns) == 1:
-            visitor.start()
-            until(answers.next_turn.locked, "the visitor to be next")
-        return predict(campaign, classifier, rows)
-
-    monkeypatch.setattr(answers, "turn", noted)
-    monkeypatch.setattr(explorer_answers, "predict", part)
-    answers.plane(FAILING, 7, 8, "failure")
-    visitor.join()
-    assert turns[:3] == ["plane", "visitor", "plane"]
-    assert turns.count("plane") > 5
+    alone = asked(1), asked(2)
+    with ThreadPoolExecutor(4) as visitors:
+        together = list(visitors.map(asked, range(1, 9)))
+    assert together == [*alone] * 4
 
 
 def test_the_page_names_every_variable_and_shows_a_hostile_name_as_text(answers):
-    text = page(answers.about())
+    text = page("explorer", answers.about())
     assert "<script>alert" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     assert text.count('type="range"') == 9 + 1  # and the time of the film
@@ -138,7 +120,7 @@ def test_the_page_names_every_variable_and_shows_a_hostile_name_as_text(answers)
 @pytest.mark.parametrize("dimension", [1, 2])
 def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
     answers = answers_of(disc() if dimension == 2 else other(1), tmp_path / "run")
-    text = page(answers.about())
+    text = page("explorer", answers.about())
     assert "Simulate this bearing" not in text
     assert ("Plane through this design" in text) == (dimension == 2)
     middle = answers.about()["presets"][0]["point"]
