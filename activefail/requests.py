@@ -566,8 +566,9 @@ class ReportRequest(Request["ReportFindings"]):
     def answer(self, run: "Run") -> "ReportFindings":
         from activefail.campaign.inquiry import Inquiry
         from activefail.report.evidence import ReportFindings, evidence_of
+        from activefail.report.folder import write_folder
         from activefail.report.fragility_section import risk_findings, risk_options
-        from activefail.report.page import render, write_report
+        from activefail.report.page import render
 
         page = run.folder / REPORT if self.page is None else path_of("page", self.page)
         if self.page is not None:
@@ -586,7 +587,7 @@ class ReportRequest(Request["ReportFindings"]):
             evidence = evidence_of(run.campaign, run.store, run.classifier, self.stage)
             text = render(run.findings, evidence, run.store, self.stage, failure, risk)
         with writing_to(page):
-            write_report(text, page)
+            write_folder(page.parent, {page.name: text}, {})
         return ReportFindings(evidence, page)
 
 

@@ -1,10 +1,10 @@
 """Animation of one simulated bearing, as GIF or MP4."""
 
-import importlib.util
-import math
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,7 @@ from activefail.progress import Begin, uncounted
 
 Frame = NDArray[np.uint8]
 
-FORMATS = (".gif", ".mp4")
-"""Supported suffixes."""
+FRAMES_PER_SECOND = 25.0
 
 MOST_FRAMES = 750
 """Longer animations get fewer frames per second; a GIF of this length is under 6 MB and takes less than 30 s."""
@@ -49,59 +48,38 @@ WIDTH = 8.0
 """Width of a frame [inch], at 100 pixels per inch."""
 
 
-def save_animation(
-    response: Response,
-    path: str | Path,
-    fps: float = 25.0,
-    slow_motion: float | None = None,
-    begin: Begin = uncounted,
-) -> Path:
+def save_animation(response: Response, path: Path, begin: Begin = uncounted) -> Path:
     """Write an animation of the bearing, from just before it moves to its failure or the end of the simulation.
 
     Args:
         response: from `activefail.bearing.simulate_one`.
-        path: file to write, .gif or .mp4; MP4 requires ffmpeg.
-        fps: frames per second; fewer if there would be more than `MOST_FRAMES`.
-        slow_motion: seconds of animation per second of motion; if None, for about ten seconds of animation.
+        path: file to write, an MP4 if it ends in .mp4, which requires ffmpeg, else a GIF.
         begin: called with the number of frames; returns a callback for drawn frames.
 
     Returns:
         The path.
 
     Raises:
-        InputError: if the path has another suffix or its folder is missing, ffmpeg is missing for an MP4, fps or
-            slow_motion is not positive and finite, or the response holds no motion.
+        InputError: if ffmpeg is missing for an MP4, or the response holds no motion.
         ActivefailError: if ffmpeg fails.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(f"The name of an animation must end in {' or '.join(FORMATS)}, got {str(path)!r}.")
-    if not path.parent.is_dir():
-        raise InputError(f"The folder {str(path.parent)!r} of the animation does not exist.")
-    for name, value in (("fps", fps), ("slow_motion", 1.0 if slow_motion is None else slow_motion)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"`{name} > 0` must hold for an animation, got {value}.")
-    ffmpeg = find_ffmpeg() if suffix == ".mp4" else ""
-
+    ffmpeg = find_ffmpeg() if path.suffix.lower() == ".mp4" else ""
     motion = Motion(response)
-    if slow_motion is None:
-        slow_motion = default_slow_motion(motion.end - motion.onset)
+    slow_motion = default_slow_motion(motion.end - motion.onset)
     film = (motion.end - motion.onset) * slow_motion  # [s]
-    count = int(np.clip(round(fps * film) + 1, 12, MOST_FRAMES))
-    times = np.linspace(motion.onset, motion.end, count)
+    count = int(np.clip(round(FRAMES_PER_SECOND * film) + 1, 12, MOST_FRAMES))
     interval = film / (count - 1)
     advance = begin(count)
 
     def counted() -> Iterator[Frame]:
-        for frame in render(motion, times, slow_motion):
+        for frame in render(motion, np.linspace(motion.onset, motion.end, count), slow_motion):
             yield frame
             advance(1)
 
-    if suffix == ".gif":
-        _write_gif(path, counted(), count, interval)
-    else:
+    if ffmpeg:
         _write_mp4(path, counted(), interval, ffmpeg)
+    else:
+        _write_gif(path, counted(), count, interval)
     return path
 
 
@@ -111,23 +89,20 @@ def default_slow_motion(duration: float) -> float:
 
 
 def find_ffmpeg() -> str:
-    """The path of ffmpeg, from the package imageio-ffmpeg or on PATH.
+    """The path of ffmpeg, from PATH or the package imageio-ffmpeg.
 
     Raises:
         InputError: if neither has it.
     """
-    if importlib.util.find_spec("imageio_ffmpeg") is not None:
-        try:
-            return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
-        except RuntimeError:  # the package lacks the program
-            pass
-    path = shutil.which("ffmpeg")
-    if path is None:
+    if (path := shutil.which("ffmpeg")) is not None:
+        return path
+    try:
+        return str(import_module("imageio_ffmpeg").get_ffmpeg_exe())
+    except (ImportError, RuntimeError):  # no package, or a package without the program
         raise InputError(
             "MP4 requires ffmpeg, which was not found. Install it with `pip install 'activefail[video]'` or put ffmpeg "
             "on PATH. GIF requires no other program."
-        )
-    return path
+        ) from None
 
 
 def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> Iterator[Frame]:
@@ -142,7 +117,7 @@ def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> It
         rows = figure.add_gridspec(2, 1, height_ratios=(stage_height + 0.6, 1.5))
         stage = figure.add_subplot(rows[0])
         drawing = BearingDrawing(stage, motion)
-        figure_legend(figure, stage, motion)
+        figure_legend(figure, stage)
         cells = rows[1].subgridspec(1, 3)
         strips = [figure.add_subplot(cells[column]) for column in range(3)]
         _plot_strips(strips, motion)
@@ -151,7 +126,8 @@ def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> It
             strip.set_xlim(times[0], times[-1])
         clock = stage.set_title(seconds(times[0]), loc="left", fontsize=11, family="DejaVu Sans Mono")
         state = stage.set_title("at rest", loc="right", fontsize=10, fontweight="bold")
-        stage.set_title(_speed(slow_motion), loc="center", fontsize=8.5, color=style.GREY)
+        speed = "real time" if slow_motion == 1.0 else f"{slow_motion:g}× slow motion"
+        stage.set_title(speed, loc="center", fontsize=8.5, color=style.GREY)
         moving: list[Artist] = [*drawing.moving, *cursors, clock, state]
         for artist in moving:
             artist.set_animated(True)
@@ -195,12 +171,6 @@ def _plot_strips(strips: Sequence[Axes], motion: Motion) -> None:
         strip.set_title(strip.get_title(loc="left"), fontsize=8.5)
 
 
-def _speed(slow_motion: float) -> str:
-    if slow_motion == 1.0:
-        return "real time"
-    return f"{slow_motion:g}× slow motion" if slow_motion > 1.0 else f"{1.0 / slow_motion:g}× fast motion"
-
-
 def _state(response: Response, time: float) -> tuple[str, str]:
     """The state at a time, as text and colour."""
     touch, failure = response.margins.first_touch_time, response.margins.failure_time
@@ -242,15 +212,13 @@ def _write_mp4(path: Path, frames: Iterator[Frame], interval: float, ffmpeg: str
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stderr is not None
-        try:
+        # If the pipe breaks, ffmpeg failed; its error output gives the reason.
+        with suppress(BrokenPipeError):
             process.stdin.write(frame.tobytes())
             for frame in frames:
                 process.stdin.write(frame.tobytes())
-            for _ in range(round(HOLD / interval)):
-                process.stdin.write(frame.tobytes())
+            process.stdin.write(round(HOLD / interval) * frame.tobytes())
             process.stdin.close()
-        except BrokenPipeError:
-            pass  # ffmpeg failed; its error output gives the reason
         message = process.stderr.read().decode(errors="replace").strip()
     if process.returncode != 0:
         raise ActivefailError(f"ffmpeg could not write {str(path)!r}: {message or 'no reason given'}.")

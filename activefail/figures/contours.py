@@ -49,7 +49,8 @@ def colour_bar(
     uncertainty: bool = False,
     fraction: float = 0.15,
 ) -> None:
-    """Add a colour bar to filled contours, on a fraction of their width."""
+    """Add a colour bar to filled contours, on a fraction of their width; that of a probability names the lines."""
     opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
-    bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, fraction=fraction, alpha=opacity)
+    ticks = np.linspace(0.0, 1.0, 6) if uncertainty else PROBABILITY_LEVELS
+    bar = figure.colorbar(shades, ax=axes, ticks=ticks, pad=0.01, fraction=fraction, alpha=opacity)
     bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")

@@ -38,18 +38,11 @@ def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
     n = failure.simulations
     figure = Figure(figsize=(7.0, 5.2), layout="constrained")
     axes, counts = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
-    known = np.isfinite(failure.low) & (failure.probability > 0.0)
-    if known.any():
-        axes.fill_between(
-            n[known],
-            failure.low[known],
-            failure.high[known],
-            color=BLUE,
-            alpha=0.15,
-            linewidth=0.0,
-            label="95 % interval under the classifier",
-        )
     positive = failure.probability > 0.0
+    known = np.isfinite(failure.low) & positive
+    if known.any():
+        ends, label = (failure.low[known], failure.high[known]), "95 % interval under the classifier"
+        axes.fill_between(n[known], *ends, color=BLUE, alpha=0.15, linewidth=0.0, label=label)
     axes.plot(n[positive], failure.probability[positive], color=BLUE, marker="o", label="classifier")
     if (estimate := failure.estimate) is not None and estimate.probability > 0.0:
         low = max(estimate.low, 1e-3 * estimate.probability)
@@ -57,11 +50,14 @@ def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
         lengths = np.maximum([[estimate.probability - low], [estimate.high - estimate.probability]], 0.0)
         label = f"{estimate.simulations} fresh simulations, {100.0 * estimate.confidence:g} % interval"
         axes.errorbar([n[-1]], [estimate.probability], lengths, color=VERMILION, marker="D", capsize=4, label=label)
-    axes.set_yscale("log")
-    if positive.any():
-        # An interval that spans many decades before the first failures must not flatten the rest.
-        last = failure.probability[positive][-1]
-        axes.set_ylim(max(axes.get_ylim()[0], 1e-3 * last), min(axes.get_ylim()[1], max(1e3 * last, 1e-2), 1.5))
+    if not failure.is_rare:
+        axes.set_ylim(0.0, min(1.0, axes.get_ylim()[1]))
+    else:
+        axes.set_yscale("log")
+        if positive.any():
+            # An interval that spans many decades before the first failures must not flatten the rest.
+            last = failure.probability[positive][-1]
+            axes.set_ylim(max(axes.get_ylim()[0], 1e-3 * last), min(axes.get_ylim()[1], max(1e3 * last, 1e-2), 1.5))
     axes.set_ylabel(f"P({beyond}) [–]")
     legend_outside(figure)
     counts.step(n, failure.seen, where="post", color=BLACK)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from activefail.figures.axes import legend_outside, panel
+from activefail.figures.axes import legend_outside, panel, plain_log
 from activefail.figures.marks import outcome_colour, outcome_marker
 from activefail.figures.style import GREY, LIGHT_GREY, styled
 from activefail.findings.quantities import Quantity, plain, words
@@ -42,6 +42,7 @@ def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: 
         axes.plot([scales[:, column].min(), scales[:, column].max()], [row, row], color=GREY, linewidth=0.8, zorder=1)
     axes.set_yticks(range(len(order)), [quantities[column].symbol for column in order])
     axes.set_xscale("log")
+    plain_log(axes.xaxis)
     axes.set_xlim(0.5 * float(scales.min()), end)
     axes.set_xlabel("length scale [standard deviations of the feature over the design space]")
     axes.invert_yaxis()

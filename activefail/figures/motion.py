@@ -5,7 +5,7 @@ Importing this module imports matplotlib, but not pyplot, so that any thread can
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,6 @@ from activefail.bearing.contact import gap, meets_rim
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever, seen_by_plate
 from activefail.bearing.motion import Motion, describe_design, describe_outcome, instants, minus, seconds
-from activefail.errors import InputError
 from activefail.figures import style
 from activefail.space import Array
 
@@ -34,6 +33,12 @@ PLATE_THICKNESS = 0.15
 
 RIM_WIDTH = 0.12
 """Drawn width of the rims / D_sl; the model's rims are walls."""
+
+FOOTNOTE = (
+    "To scale, in the frame of the bottom plate. Bodies overlap where a contact spring is compressed; "
+    "the model's plates never touch."
+)
+"""The note on the drawn bodies."""
 
 
 # ---------------------------------------------------------------------------------------------------- over time
@@ -309,18 +314,6 @@ def vertex_states(motion: Motion, q: Array) -> list[int]:
     return states
 
 
-def plates_overlap(motion: Motion, q: Array) -> bool:
-    """Whether the drawn plates overlap; the model has no contact between plates."""
-    bearing = motion.response.bearing
-    lower = plate_outline(bearing)[1:-1]
-    upper = on_top_plate(lower, q)
-    left, right = max(lower[0, 0], upper[0, 0]), min(lower[-1, 0], upper[-1, 0])
-    if left >= right:
-        return False
-    x = np.linspace(left, right, 400)
-    return bool(np.any(np.interp(x, *lower.T) > np.interp(x, *upper.T)))
-
-
 def extent(motion: Motion) -> tuple[Array, Array]:
     """Lower left and upper right corner of a drawing of the whole motion, with a margin, shape (2,) each."""
     bearing = motion.response.bearing
@@ -404,51 +397,31 @@ class BearingDrawing:
 
 
 @style.styled()
-def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, float] | None = None) -> Figure:
-    """Draw the bearing at a few instants [s], with optional names; by default those of `instants`.
+def plot_snapshots(response: Response) -> Figure:
+    """Draw the bearing at the moments of `instants`.
 
     Raises:
-        InputError: if the response holds no motion, or times are empty or not finite.
+        InputError: if the response holds no motion.
     """
-    chosen: Sequence[tuple[str, float]]
-    if times is None:
-        chosen = list(instants(response).items())
-    elif isinstance(times, Mapping):
-        chosen = list(times.items())
-    else:
-        chosen = [("", time) for time in times]
-    if not chosen or not all(math.isfinite(time) for _, time in chosen):
-        times = [time for _, time in chosen]
-        raise InputError(f"Snapshots need at least one time, and every time must be finite, got {times}.")
-    motion = Motion(response)
-    columns = min(len(chosen), 2)
-    rows = math.ceil(len(chosen) / columns)
+    motion, chosen = Motion(response), instants(response)
+    rows = math.ceil(len(chosen) / 2)
     low, high = extent(motion)
-    panel_height = 4.8 * (2.0 / columns) * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
+    panel_height = 4.8 * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
     figure = titled_figure(response, width=10.5, height=1.75 + panel_height * rows)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for panel, (name, time) in zip(panels.flat, chosen, strict=False):
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
+    for panel, (name, time) in zip(panels.flat, chosen.items(), strict=False):
         drawing = BearingDrawing(panel, motion)
         drawing.move_to(time)
-        panel.set_title(f"{name}, {seconds(time)}".removeprefix(", "))
+        panel.set_title(f"{name}, {seconds(time)}")
         panel.label_outer()
     for panel in panels.flat[len(chosen) :]:
         panel.set_axis_off()
-    figure_legend(figure, panels[0, 0], motion)
+    figure_legend(figure, panels[0, 0])
     return figure
 
 
-def figure_legend(figure: Figure, axes: Axes, motion: Motion) -> None:
+def figure_legend(figure: Figure, axes: Axes) -> None:
     """Add a legend of the vertex marks, with the note on the drawing, at the foot of the figure."""
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), title=footnote(motion), title_fontsize=8
-    )
-
-
-def footnote(motion: Motion) -> str:
-    """The note on the drawn bodies."""
-    text = "To scale, in the frame of the bottom plate; bodies overlap where a contact spring is compressed"
-    if any(plates_overlap(motion, q) for q in motion.position(motion.fine_times()[::10])):
-        text += ",\nand plates overlap because the model has no contact between them"
-    return text
+    columns = len(labels)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=FOOTNOTE, title_fontsize=8)

@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.figures.contours import PROBABILITY_LEVELS, axis_limits
-from activefail.figures.style import BLUE, GREY, VERMILION, styled
+from activefail.figures.axes import legend_outside
+from activefail.figures.contours import axis_limits, colour_bar, filled_contours
+from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.style import BLACK, GREY, styled
 from activefail.space import Array
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 LABELS = ("$D_{ratio}$", "$T_b/T_p$", "$\\mu/A_p$", "$h_{sl}/D_{sl}$", "$h_{rim}/D_{sl}$", "$k_{norm}$")
 _HELD_AT_MEDIAN = (3, 4, 5)
 _GRID = 120
-_WIDTHS = [0.7, 0.7, 1.6, 0.7, 0.7]
 
 SLICE = 0.02 / 0.11
 """Half-width of a slice over its value, from the only one that the paper states: μ/A_p = 0.11 ± 0.02."""
@@ -55,15 +55,12 @@ PLANES = (
 """The paper's figures; it states μ/A_p = 0.11, the other values are round numbers where Table 1 has many designs."""
 
 
-def _points(axes: Axes, x: Array, y: Array, failed: NDArray[np.bool_]) -> None:
-    for value, colour, marker in ((False, BLUE, "o"), (True, VERMILION, "^")):
-        rows = failed == value
-        axes.scatter(x[rows], y[rows], s=18, c=colour, marker=marker, edgecolors="white", linewidths=0.4, zorder=3)
+OUTCOMES = ("no failure", "failure")
 
 
-def _beyond(outside: int) -> str:
-    """Text for a title: how many points of a slice are beyond the axes."""
-    return f"  ({outside} beyond)" if outside else ""
+def _title(label: str, value: float, beyond: int) -> str:
+    """The slice of a panel, and how many of its points are beyond the axes."""
+    return f"{label} = {value:g} ± {SLICE * value:.2f}{f'  ({beyond} beyond)' if beyond else ''}"
 
 
 @dataclass(frozen=True)
@@ -92,34 +89,36 @@ class _Slices:
         """Which training points are in the slice around a value."""
         return np.asarray(np.abs(self.process.F[:, column] - value) <= SLICE * value)
 
+    def scatter(self, panel: Axes, x: Array, y: Array, shown: NDArray[np.bool_]) -> None:
+        """The training points that are shown, at (x, y), (n,) each."""
+        outcome = self.process.failed.astype(np.int8)
+        scatter_outcomes(panel, x[shown], y[shown], outcome[shown], OUTCOMES, 18.0)
+
     def draw_contours(self, panel: Axes, third: float) -> ScalarMappable:
         """Contours of P(failure) at a value of the third feature, with the training points near it."""
-        plane, F, failed = self.plane, self.process.F, self.process.failed
+        plane, F = self.plane, self.process.F
         x, y = np.meshgrid(np.linspace(*self.x_limits, _GRID), np.linspace(*self.y_limits, _GRID))
         mean, sd = self.moments(x, y, third)
-        probability = ndtr(mean / np.sqrt(1.0 + sd**2))
-        shades = panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.5)
-        panel.contour(x, y, probability, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=_WIDTHS)
+        shades = filled_contours(panel, x, y, ndtr(mean / np.sqrt(1.0 + sd**2)))
         inside = (F[:, plane.x] <= self.x_limits[1]) & (F[:, plane.y] <= self.y_limits[1])
         shown = self.near(plane.third, third)
-        _points(panel, F[shown & inside, plane.x], F[shown & inside, plane.y], failed[shown & inside])
-        beyond = _beyond(int(np.sum(shown & ~inside)))
-        panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}{beyond}")
+        self.scatter(panel, F[:, plane.x], F[:, plane.y], shown & inside)
+        panel.set_title(_title(LABELS[plane.third], third, int(np.sum(shown & ~inside))))
         panel.set(xlabel=LABELS[plane.x], ylabel=LABELS[plane.y], xlim=self.x_limits, ylim=self.y_limits)
         return shades
 
     def draw_line(self, panel: Axes, line: float) -> None:
         """The prediction along y at a value of x and the middle value of the third feature."""
-        plane, F, failed = self.plane, self.process.F, self.process.failed
+        plane, F = self.plane, self.process.F
         along, middle = np.linspace(*self.y_limits, 200), plane.values[1]
         mean, sd = self.moments(np.full_like(along, line), along, middle)
         low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
-        panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0)
-        panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color="black")
+        panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0, label="95 % of the latent")
+        panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color=BLACK, label="2 P(failure) − 1")
         shown = self.near(plane.third, middle) & self.near(plane.x, line)
         kept = shown & (F[:, plane.y] <= self.y_limits[1])
-        _points(panel, F[kept, plane.y], np.where(failed[kept], 1.0, -1.0), failed[kept])
-        panel.set_title(f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}{_beyond(int(np.sum(shown & ~kept)))}")
+        self.scatter(panel, F[:, plane.y], np.where(self.process.failed, 1.0, -1.0), kept)
+        panel.set_title(_title(LABELS[plane.x], line, int(np.sum(shown & ~kept))))
         panel.set(xlabel=LABELS[plane.y], ylabel="−1 no failure … 1 failure", xlim=self.y_limits)
         panel.set_ylim(-1.15, 1.15)
 
@@ -134,29 +133,17 @@ def plot_plane(plane: Plane, process: "PaperProcess") -> Figure:
     for panel, third in zip(axes[0], plane.values, strict=True):
         shades = slices.draw_contours(panel, third)
     for line in plane.lines:
-        axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.4)
-    bar = figure.colorbar(
-        ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=PROBABILITY_LEVELS, pad=0.01, alpha=0.5
-    )
-    bar.set_label("P(failure)")
-    bar.ax.hlines(PROBABILITY_LEVELS, 0.0, 1.0, colors=GREY, linewidths=_WIDTHS)
+        axes[0][1].axvline(line, color=BLACK, linestyle=":", linewidth=1.4)
+    colour_bar(figure, axes[0], shades, "P(failure)", fraction=0.02)
     for panel, line in zip(axes[1], plane.lines, strict=True):
         slices.draw_line(panel, line)
-    figure.legend(
-        handles=[
-            Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
-            Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
-            Line2D([], [], color="black", linestyle=":", label="where the lower panels are"),
-            Line2D([], [], color="black", label="2 P(failure) − 1"),
-            Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
-        ],
-        loc="outside lower center",
-        ncols=5,
-    )
+    handles = [
+        *outcome_handles(OUTCOMES, " (training)"),
+        Line2D([], [], color=BLACK, linestyle=":", label="where the lower panels are"),
+        *axes[1][0].get_legend_handles_labels()[0],
+    ]
+    legend_outside(figure, handles=handles)
     fixed = ", ".join(f"{LABELS[i]} = {np.median(F[:, i]):.2f}" for i in _HELD_AT_MEDIAN)
-    figure.suptitle(
-        f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, "
-        f"{LABELS[plane.third]} = {plane.values[1]:g} ± {SLICE * plane.values[1]:.2f}",
-        fontsize=9.5,
-    )
+    along = _title(LABELS[plane.third], plane.values[1], 0)
+    figure.suptitle(f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, {along}", fontsize=9.5)
     return figure

@@ -5,7 +5,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from statsmodels.stats.proportion import proportion_confint
 
-from activefail.figures.style import BLUE, GREEN, GREY, PURPLE, VERMILION, styled
+from activefail.figures.axes import plain_log
+from activefail.figures.style import GREY, LINE_COLOURS, LINE_MARKERS, styled
 from activefail.space import Array
 
 
@@ -29,9 +30,7 @@ def plot_reliability(
     figure = Figure(figsize=(6.4, 7.0), layout="constrained")
     axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
     axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
-    for (title, p), colour, marker in zip(
-        probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
-    ):
+    for (title, p), colour, marker in zip(probabilities.items(), LINE_COLOURS, LINE_MARKERS, strict=False):
         bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
         counts = np.bincount(bin_index, minlength=bins)
         shown = counts > 0
@@ -44,5 +43,6 @@ def plot_reliability(
     axes.set_ylabel(labels[0])
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16 if len(probabilities) > 1 else 1.08), ncols=2)
     counts_axes.set_yscale("log")
+    plain_log(counts_axes.yaxis, (1.0,))
     counts_axes.set(xlabel=labels[1], ylabel="designs in a bin")
     return figure

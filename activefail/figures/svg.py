@@ -8,6 +8,9 @@ from matplotlib.figure import Figure
 
 from activefail.figures.style import lay_out, styled
 
+_WIDE = 8.0
+"""Width [in] beyond which a figure has the class "wide"."""
+
 _NO_METADATA: dict[str, None] = {"Date": None, "Creator": None, "Format": None, "Type": None}
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 _MARKS = re.compile(r"(?:<use [^>]*/>\s*){4,}")
@@ -42,6 +45,30 @@ def _as_markers(text: str, name: str) -> str:
     return _MARKS.sub(path, text)
 
 
+def _with_own_ids(text: str, name: str) -> str:
+    """Keep the ids that something refers to, with a prefix.
+
+    matplotlib derives ids from content: elements with the same id are equal, and the first one suffices.
+    """
+    referenced = set(re.findall(r'(?:href="#|url\(#)([^")]*)', text))
+
+    def kept(match: re.Match[str]) -> str:
+        if match[1] not in referenced:
+            return ""
+        referenced.remove(match[1])
+        return f' id="{name}-{match[1]}"'
+
+    return re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", re.sub(r'\s+id="([^"]*)"', kept, text))
+
+
+def _as_svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    lay_out(figure)
+    with styled():
+        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+    return buffer.getvalue()
+
+
 def inline(figure: Figure, name: str, alternative: str) -> Markup:
     """A figure as an `<svg>` element that scales to its container.
 
@@ -50,34 +77,22 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
         name: prefix of its ids, unique on the page; letters, digits and hyphens.
         alternative: text for screen readers.
     """
-    buffer = io.StringIO()
-    lay_out(figure)
-    with styled():
-        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
-    text = buffer.getvalue()
+    text = _as_svg(figure)
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     # matplotlib's rule for all elements would apply to the whole page; the page restricts it to figures.
     text = re.sub(r'<style type="text/css">\*\{[^}]*\}</style>\s*', "", text)
     text = text.replace("xlink:href", "href")
-    ids = dict.fromkeys(re.findall(r'\bid="([^"]*)"', text))
-    short = {old: f"{name}-{number:x}" for number, old in enumerate(ids)}
-    defined: set[str] = set()
-
-    def renamed(match: re.Match[str]) -> str:
-        attribute, old = match.groups()
-        if attribute != 'id="' or old not in defined:
-            defined.update([old] if attribute == 'id="' else [])
-            return f"{attribute}{short[old]}"
-        # matplotlib derives ids from content: elements with the same id are equal, and references need only one.
-        return f"{attribute}{short[old]}-{match.start():x}"
-
-    text = re.sub(r'(\bid="|href="#|url\(#)([^")]*)', renamed, text)
+    text = _with_own_ids(text, name)
     text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda match: _LONG_NUMBER.sub(_shorter, match[0]), text)
     text = _as_markers(re.sub(r"\n\s*", "\n", text), name)
-    width, height = figure.get_size_inches()
-    opening = Markup('<svg role="img" aria-label="{}" viewBox="0 0 {} {}" xmlns="{}">').format(
-        alternative, f"{72 * width:g}", f"{72 * height:g}", "http://www.w3.org/2000/svg"
+    width, height = figure.get_size_inches().tolist()
+    opening = Markup('<svg role="img" aria-label="{}"{} viewBox="0 0 {:g} {:g}" xmlns="{}">').format(
+        alternative,
+        Markup(' class="wide"' if width > _WIDE else ""),
+        72 * width,
+        72 * height,
+        "http://www.w3.org/2000/svg",
     )
     return opening + Markup(text[text.index(">") + 1 :])

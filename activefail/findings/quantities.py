@@ -133,6 +133,11 @@ def variables(campaign: Campaign) -> list[Quantity]:
     return _of_simulator(campaign, campaign.space.names)
 
 
+def by_name(campaign: Campaign) -> dict[str, Quantity]:
+    """The variables of a campaign by their names."""
+    return {variable.name: variable for variable in variables(campaign)}
+
+
 def fixed(campaign: Campaign) -> list[Quantity]:
     """The quantities that are the same for every design of a campaign."""
     return _of_simulator(campaign, campaign.space.fixed)
@@ -140,9 +145,9 @@ def fixed(campaign: Campaign) -> list[Quantity]:
 
 def features(campaign: Campaign) -> list[Quantity]:
     """The features of a campaign's classifier, in order; custom features have only a name."""
-    by_name = {variable.name: variable for variable in variables(campaign)}
+    known = by_name(campaign)
     describe = quantity if isinstance(campaign.settings.classifier.features, str) else custom_quantity
-    return [by_name.get(name) or describe(name) for name in campaign.features.names]
+    return [known.get(name) or describe(name) for name in campaign.features.names]
 
 
 def significant(value: float, digits: int = 3) -> str:

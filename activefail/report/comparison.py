@@ -50,19 +50,6 @@ def _needed(points: list[Point], level: float) -> str:
     return f"> {points[-1].simulations}" if simulations is None else f"{simulations:.0f}"
 
 
-def _command(plan: ComparisonPlan) -> str:
-    lists = {"criteria": plan.criteria, "features": plan.features, "static": plan.static}
-    options = " ".join(f"--{name} {','.join(map(str, values))}" for name, values in lists.items())
-    return f"activefail compare CAMPAIGN.toml --seeds {plan.seeds} {options} --test {plan.test} --out DIR"
-
-
-def _targets(plan: ComparisonPlan) -> str:
-    shares = plan.settings.acquisition.boundaries
-    if len(shares) == 1:
-        return next(iter(shares))
-    return ", ".join(f"{name} with {share:.0%} of the active designs" for name, share in shares.items())
-
-
 Curves = dict[tuple[str, str], list[Point]]
 """Points of a measure by features and sampling."""
 
@@ -91,15 +78,19 @@ def _title(features: str, sampling: str) -> str:
     return f"{sampling}, {features}"
 
 
+def _titles(names: list[str], boundary: str) -> dict[str, str]:
+    """Column titles of all measures: those of `MEASURES`, of the other boundaries, and of the outcomes."""
+    main = {*MEASURES, f"accuracy_{boundary}"}
+    others = [name.removeprefix("accuracy_") for name in names if name.startswith("accuracy_") and name not in main]
+    recalls = [name.removeprefix("recall_of_") for name in names if name.startswith("recall_of_")]
+    titles = MEASURES | {f"accuracy_{name}": f"accuracy, {name} boundary" for name in others}
+    return titles | {f"recall_of_{name}": f"recall of {name}" for name in recalls}
+
+
 def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     """The page as Markdown."""
     boundary = plan.settings.acquisition.main_boundary
-    main = {*MEASURES, f"accuracy_{boundary}"}
-    names = list(scores[0].measures)
-    others = [name for name in names if name.startswith("accuracy_") and name not in main]
-    titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
-    recalls = [name for name in names if name.startswith("recall_of_")]
-    titles |= {name: f"recall of {name.removeprefix('recall_of_')}" for name in recalls}
+    titles = _titles(list(scores[0].measures), boundary)
     by_measure = {name: curves(scores, name) for name in titles}
     active, fixed = (
         {key: points for key, points in by_measure["accuracy"].items() if (key[1] == STATIC) == static}
@@ -109,14 +100,11 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
         markdown_environment()
         .get_template("comparison.md.j2")
         .render(
-            title=plan.settings.description or "a campaign",
-            targets=_targets(plan),
+            plan=plan,
             boundary=boundary,
-            seeds=plan.seeds,
-            test=plan.test,
+            targets=plan.settings.acquisition.boundaries,
             neighbours=NEIGHBOURS,
-            displacement=f"{DISPLACEMENT:.0%}",
-            command=_command(plan),
+            displacement=DISPLACEMENT,
             titles=list(titles.values()),
             measured=_measured(by_measure),
             campaigns=[_title(*key) for key in active],

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING
 
 from activefail import __version__
 from activefail.figures.design import marks_of, plot_required
+from activefail.figures.svg import inline
+from activefail.findings.quantities import by_name
 from activefail.json_text import json_text
 from activefail.report.environment import page_environment
 from activefail.report.folder import write_folder
-from activefail.report.picture import picture
 from activefail.risk.design.findings import DesignFindings
 from activefail.visible import or_worse
 
@@ -18,28 +19,21 @@ if TYPE_CHECKING:
 
 def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
-    figure = _chart(findings)
+    figures = {}
+    if findings.chart is not None:
+        figures["required"] = plot_required(findings.chart, by_name(findings.campaign), marks_of(findings))
     texts = {
-        "design.html": render_design(findings, figure),
+        "design.html": render_design(findings, figures.get("required")),
         "design.json": json_text(findings.as_json()) + "\n",
         "design.toml": _values_text(findings),
     }
-    return write_folder(folder, texts, {} if figure is None else {"required": figure})
-
-
-def _chart(findings: DesignFindings) -> "Figure | None":
-    if findings.chart is None:
-        return None
-    return plot_required(findings.chart, findings.campaign.space, marks_of(findings))
-
-
-def _units(findings: DesignFindings) -> dict[str, str]:
-    return {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    return write_folder(folder, texts, figures)
 
 
 def _values_text(findings: DesignFindings) -> str:
     """The design as TOML, for --fixed of other commands."""
-    lines, units = [f"# {findings.verdict}"], _units(findings)
+    units = {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    lines = [f"# {findings.verdict}"]
     for name, value in findings.bearing.items():
         unit = f"  # {units[name]}" if units.get(name) else ""
         lines.append(f"{name} = {value!r}{unit}")
@@ -48,10 +42,10 @@ def _values_text(findings: DesignFindings) -> str:
 
 def render_design(findings: DesignFindings, figure: "Figure | None" = None) -> str:
     """The page, with the figure of the chart if there is one."""
-    designed, chart = findings.designed, findings.chart
+    designed, chart, outcomes = findings.designed, findings.chart, findings.campaign.simulator.outcomes
     drawn = None
     if figure is not None and chart is not None:
-        drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
+        drawn = inline(figure, "required", f"Required {chart.name} against {chart.across}")
     return (
         page_environment()
         .get_template("design.html.j2")
@@ -61,9 +55,9 @@ def render_design(findings: DesignFindings, figure: "Figure | None" = None) -> s
             findings=findings,
             designed=designed,
             task=designed.task,
-            units=_units(findings),
+            shown=by_name(findings.campaign),
             targets=[
-                f"P({or_worse(one.outcome, findings.campaign.simulator.outcomes)}) ≤ {100.0 * one.target:.4g} %"
+                f"P({or_worse(one.outcome, outcomes)}) ≤ {100.0 * one.target:.4g} %"
                 for one in designed.task.requirements
             ],
             chart=drawn,

@@ -42,7 +42,6 @@ def markdown_environment() -> Environment:
 
 def _environment(package: str, **more: Any) -> Environment:
     environment = Environment(loader=PackageLoader(package, "."), undefined=StrictUndefined, finalize=_shown, **more)
-    shown = (subscripts, words, percent, significant, probability, interval_percent, bounds_percent)
-    environment.filters |= {one.__name__: one for one in shown}
+    environment.filters |= {one.__name__: one for one in (subscripts, words, percent, significant, probability)}
     environment.globals |= {one.__name__: one for one in (interval_percent, bounds_percent)}
     return environment

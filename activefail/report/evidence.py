@@ -59,18 +59,13 @@ def _curve(campaign: Campaign, store: Store, stage: Callable[[str], None]) -> tu
     if (remembered := remembered_scores(store)) is not None:
         scores, unanswered = remembered
         return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
-    validation = stored_set(store, VALIDATION)
-    history = History.of(store.batches)
-    done = len(history)
-    if validation is None:
+    if (validation := stored_set(store, VALIDATION)) is None:
         return None, "a comparison with static designs, or a validation set (validation.size)"
-    scores = []
-    classifier: Classifier | None = None
-    initial = initial_size(campaign, history)
-    budgets = default_budgets(min(initial, done), done)
-    for n in (
-        budgets if len(budgets) < _BUDGETS else [budgets[round(i)] for i in np.linspace(0, len(budgets) - 1, _BUDGETS)]
-    ):
+    history, scores, classifier = History.of(store.batches), [], None
+    done, initial = len(history), initial_size(campaign, history)
+    budgets = np.array(default_budgets(min(initial, done), done))
+    shown = np.linspace(0, len(budgets) - 1, min(_BUDGETS, len(budgets))).round().astype(int)
+    for n in budgets[shown].tolist():
         known = history[:n]
         if len(known.training) < 2:
             continue

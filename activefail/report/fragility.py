@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 from activefail import __version__
 from activefail.figures.fragility import plot_fragility_findings
+from activefail.figures.svg import inline
 from activefail.findings.quantities import quantity
 from activefail.report.environment import page_environment
 from activefail.report.folder import write_folder
-from activefail.report.picture import picture
 from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
     FragilityFindings,
@@ -41,7 +41,7 @@ def curves_shown(findings: FragilityFindings, figure: "Figure") -> dict[str, Any
         "heading": title,
         "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
         "given": fixed_in_words(findings),
-        "picture": picture(figure, "curves", title),
+        "picture": inline(figure, "curves", title),
         "boundaries": [
             (or_worse(one.outcome, findings.outcomes), _rows(of_boundary(findings, one)))
             for one in reversed(findings.boundaries)

@@ -1,6 +1,6 @@
 """Values for the section on fragility in a campaign's report (`report.html.j2`). It simulates nothing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,15 +9,15 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.figures.design import marks_of_stored, plot_required
 from activefail.figures.fragility import plot_fragility_findings
+from activefail.figures.svg import inline
+from activefail.findings.quantities import Quantity, by_name
 from activefail.report.fragility import curves_shown
-from activefail.report.picture import picture
 from activefail.risk.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.stored import StoredDesign, stored_designs
 from activefail.risk.fragility.calculation import fragility
 from activefail.risk.fragility.findings import FragilityFindings
 from activefail.risk.fragility.levels import ladder_of
-from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import quoted
 
@@ -38,6 +38,11 @@ class RiskOptions(NamedTuple):
     target: str | None
     requirement: Requirement
 
+    @property
+    def options(self) -> str:
+        """The options of the command that makes the section."""
+        return self.site + (f" --target {quoted(self.target)}" if self.target is not None else "")
+
 
 @dataclass(frozen=True, eq=False)
 class RiskFindings:
@@ -45,7 +50,7 @@ class RiskFindings:
 
     Attributes:
         request: what the report shows.
-        space: of the campaign.
+        shown: the variables, by name.
         fragility: the curves, with the levels that earlier verifications stored.
         chart: of the values that targets require; None if there is none.
         why_no_chart: a sentence; empty if there is a chart.
@@ -53,17 +58,11 @@ class RiskFindings:
     """
 
     request: RiskOptions
-    space: DesignSpace
+    shown: Mapping[str, Quantity]
     fragility: FragilityFindings
     chart: RequiredChart | None
     why_no_chart: str
     designs: Sequence[StoredDesign]
-
-    @property
-    def options(self) -> str:
-        """The options of the command that makes the section."""
-        target = self.request.target
-        return self.request.site + (f" --target {quoted(target)}" if target is not None else "")
 
 
 def risk_options(
@@ -82,13 +81,11 @@ def risk_options(
     """
     text = next(iter(RISK_CATEGORIES)) if target is None else str(target)
     requirements = read_targets(text, outcomes, boundary)
-    if len(requirements) > 1:
-        raise InputError(f"target: must be one target, got {text!r}.")
-    if requirements[0].years is not None:
-        raise InputError(f"target: a report requires a probability given a pulse of the hazard, got {text!r}.")
-    site = f"--hazard {quoted(hazard) if isinstance(hazard, Path | str) else 'HAZARD.toml'}"
-    if fixed is not None:
-        site += f" --fixed {quoted(fixed) if isinstance(fixed, Path | str) else 'DESIGN.toml'}"
+    if len(requirements) > 1 or requirements[0].years is not None:
+        raise InputError(f"target: must be one target, a probability given a pulse of the hazard, got {text!r}.")
+    files = {"--hazard": (hazard, "HAZARD.toml")} | ({} if fixed is None else {"--fixed": (fixed, "DESIGN.toml")})
+    names = {option: quoted(one) if isinstance(one, Path | str) else name for option, (one, name) in files.items()}
+    site = " ".join(f"{option} {name}" for option, name in names.items())
     return RiskOptions(site, None if target is None else text, requirements[0])
 
 
@@ -116,7 +113,7 @@ def risk_findings(
     else:
         requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
         designs = stored_designs(estimator, asked.question, DEFAULT_FREE, requirements)
-    return RiskFindings(request, campaign.space, curves, chart, why, designs)
+    return RiskFindings(request, by_name(campaign), curves, chart, why, designs)
 
 
 def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
@@ -125,13 +122,11 @@ def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
         return None
     chart, drawn = findings.chart, None
     if chart is not None:
-        figure = plot_required(chart, findings.space, marks_of_stored(chart, findings.designs))
-        drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
+        figure = plot_required(chart, findings.shown, marks_of_stored(chart, findings.designs))
+        drawn = inline(figure, "required", f"Required {chart.name} against {chart.across}")
     return {
         "found": findings,
-        "asked": findings.request,
         "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility)),
         "required": DEFAULT_FREE,
-        "unit": next((one.unit for one in findings.space.parameters if one.name == DEFAULT_FREE), ""),
         "chart": drawn,
     }

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,11 @@ from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
 from activefail.figures.paper_planes import PLANES
 from activefail.figures.reliability import plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
-from activefail.files import replacing, target_of
+from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
 from activefail.findings.lost import where_lost
-from activefail.findings.prediction import information, predict
+from activefail.findings.prediction import information
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words
@@ -40,10 +39,9 @@ from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
 from activefail.record.store import Store
 from activefail.report.environment import page_environment
-from activefail.report.evidence import Evidence
+from activefail.report.evidence import Curve, Evidence, Reliability
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
-from activefail.report.picture import picture
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
@@ -70,29 +68,29 @@ def spread(parameter: Parameter) -> str:
     return f"{name}, {significant(parameter.mean)} ± {significant(parameter.sd)}{within}"
 
 
-def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
+def _counts(findings: Findings) -> dict[str, Any]:
     """Simulations by outcome, numerical failures last, (outcomes + 1,), by the group's title."""
-    k = len(findings.campaign.simulator.outcomes)
-    groups = {
-        "initial design": findings.initial,
-        "active designs": findings.chosen,
-        **({"given": findings.given} if findings.given.any() else {}),
-        "all": np.ones(len(findings.X), dtype=bool),
-    }
-    code = np.where(findings.answered, findings.outcome, k)
-    return {title: np.bincount(code[rows], minlength=k + 1) for title, rows in groups.items()}
+    outcomes = findings.campaign.simulator.outcomes
+    groups = {"initial design": findings.initial, "active designs": findings.chosen}
+    if findings.given.any():
+        groups["given"] = findings.given
+    groups["all"] = np.ones(len(findings.X), dtype=bool)
+    code = np.where(findings.answered, findings.outcome, len(outcomes))
+    counts = {title: np.bincount(code[rows], minlength=len(outcomes) + 1) for title, rows in groups.items()}
+    figure = plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes)
+    return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": counts}
 
 
-def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
-    curve = evidence.curve
+def _curve(findings: Findings, curve: Curve | None) -> dict[str, Any]:
     if curve is None:
         return {"picture": None}
     scores = sorted(curve.scores, key=lambda score: (score.simulations, score.sampling))
     last = max(scores, key=lambda score: (score.sampling == "active", score.simulations))
     static = [score for score in scores if score.sampling == "static" and score.simulations == last.simulations]
     boundary = quantities.plain(words(findings.boundary))
+    figure = plot_learning_curves(curve.scores, boundary, curve.test_size)
     return {
-        "picture": picture(plot_learning_curves(curve.scores, boundary, curve.test_size), "curve", "Learning curve"),
+        "picture": inline(figure, "curve", "Learning curve"),
         "scores": scores,
         "last": last,
         "static": median_score(static) if static and last not in static else None,
@@ -105,9 +103,8 @@ def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
 
 def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     campaign = findings.campaign
-    features = campaign.features
+    features, names = campaign.features, quantities.features(campaign)
     shown = sorted(np.argsort(scales[campaign.severity - 1], kind="stable")[:MOST_PAIRED].tolist())
-    names = quantities.features(campaign)
     rows = findings.answered & ~findings.given
     if not rows.any():
         rows = findings.answered
@@ -119,13 +116,11 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
         [bool(features.logarithmic[column]) for column in shown],
         campaign.simulator.outcomes,
     )
-    chosen = int(np.sum(findings.chosen))
     return {
-        "picture": picture(figure, "pairs", "Designs in pairs of features"),
-        "chosen": chosen,
+        "picture": inline(figure, "pairs", "Designs in pairs of features"),
+        "chosen": findings.chosen.any(),
         "most_shown": MOST_SHOWN,
-        "thinned": max(chosen, int(np.sum(findings.initial))) > MOST_SHOWN,
-        "given": int(np.sum(findings.given)),
+        "thinned": max(findings.chosen.sum(), findings.initial.sum()) > MOST_SHOWN,
         "features_shown": len(shown),
         "features": len(names),
     }
@@ -137,99 +132,82 @@ def _planes(findings: Findings) -> dict[str, Any]:
     for number, plane in enumerate(c.planes, start=1):
         names = f"{c.quantities[plane.x].text} and {c.quantities[plane.y].text}"
         figure = plot_outcome_planes(plane, c, findings)
-        pictures.append((names, picture(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
+        pictures.append((names, inline(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
     return {
         "pictures": pictures,
-        "severe": findings.campaign.simulator.outcomes[1:],
         "of_features": c.planes is PLANES,
         "of_the_paper": findings.campaign.features.names == PAPER_FEATURES,
     }
 
 
-def _reliability(findings: Findings, evidence: Evidence) -> dict[str, Any] | None:
-    reliability = evidence.reliability
+def _reliability(findings: Findings, reliability: Reliability | None) -> dict[str, Any] | None:
     if reliability is None:
         return None
-    name = quantities.plain(findings.beyond)
-    figure = plot_reliability(
-        {f"{len(reliability.beyond)} designs": reliability.probability},
-        reliability.beyond,
-        1,
-        labels=(f"share with {name} [–]", f"predicted P({name}) [–]"),
-    )
-    return {
-        "picture": picture(figure, "reliability", "Reliability diagram"),
-        "designs": len(reliability.beyond),
-        "source": reliability.source,
-    }
+    name, designs = quantities.plain(findings.beyond), len(reliability.beyond)
+    labels = f"share with {name} [–]", f"predicted P({name}) [–]"
+    figure = plot_reliability({f"{designs} designs": reliability.probability}, reliability.beyond, 1, labels=labels)
+    picture = inline(figure, "reliability", "Reliability diagram")
+    return {"picture": picture, "designs": designs, "source": reliability.source}
 
 
 def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     campaign = findings.campaign
-    features = campaign.features
-    names = quantities.features(campaign)
+    features, names = campaign.features, quantities.features(campaign)
 
-    def in_units(length: float, column: int, unit: str) -> str:
+    def in_units(length: float, column: int) -> str:
         if length > LONG:
             return "more than its range"
         step = length * float(features.scaling[1][column])
         if features.logarithmic[column]:
             return f"a factor of {significant(float(np.exp(step)), 2)}"
-        return f"± {significant(step, 2)} {unit}".rstrip()
+        return f"± {significant(step, 2)} {names[column].unit}".rstrip()
 
-    rows = []
-    for column in np.argsort(scales[campaign.severity - 1], kind="stable").tolist():
-        lengths, unit = scales[:, column].tolist(), names[column].unit
-        cells = [(length, in_units(length, column, unit)) for length in lengths]
-        rows.append({"quantity": names[column], "cells": cells, "matters": min(lengths) <= LONG})
+    order = np.argsort(scales[campaign.severity - 1], kind="stable").tolist()
+    figure = plot_length_scales(scales, names, campaign.simulator.outcomes)
     return {
-        "picture": picture(plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales"),
-        "rows": rows,
-        "boundaries": campaign.simulator.outcomes[1:],
+        "picture": inline(figure, "scales", "Length scales"),
+        "rows": [
+            (names[column], [(length, in_units(length, column)) for length in scales[:, column].tolist()])
+            for column in order
+        ],
+        "long": LONG,
         "correlations": sorted({_CORRELATION[kernel] for _, _, kernel in _learned_from(findings)}),
     }
 
 
-def _uncertain(findings: Findings) -> list[dict[str, Any]]:
-    prediction, campaign = findings.pool_prediction, findings.campaign
-    bits = information(findings.classifier.predicted(findings.pool), campaign.severity)
+def _uncertain(findings: Findings) -> list[tuple[Any, ...]]:
+    """The designs of the pool that would tell the most: with probabilities, their interval, and information [bit]."""
+    of_pool, predicted = findings.pool_prediction, findings.classifier.predicted(findings.pool)
+    bits = information(predicted, findings.campaign.severity)
+    columns = (findings.pool, of_pool.probabilities, of_pool.low, of_pool.high, bits)
     rows = np.argsort(-bits, kind="stable")[:LISTED]
-    return [
-        {
-            "design": findings.pool[row].tolist(),
-            "probabilities": prediction.probabilities[row].tolist(),
-            "low": prediction.low[row],
-            "high": prediction.high[row],
-            "information": bits[row],
-        }
-        for row in rows.tolist()
-    ]
+    return list(zip(*(column[rows].tolist() for column in columns), strict=True))
 
 
 def _gallery(findings: Findings) -> list[dict[str, Any]]:
-    simulator = findings.campaign.simulator
+    simulator, space = findings.campaign.simulator, findings.campaign.space
     if not isinstance(simulator, DfpSimulator):
         return []
     shown = []
     for number, (row, why) in enumerate(at_the_boundary(findings), start=1):
-        response = simulator.response(findings.X[row])
+        X = findings.X[row]
+        response = simulator.response(X)
         try:
             Motion(response)
         except InputError:
             continue  # it failed at the start: there is no motion to draw
-        prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
         alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
-        terms = terms_of(simulator, dict(zip(findings.campaign.space.names, findings.X[row].tolist(), strict=True)))
+        terms = terms_of(simulator, dict(zip(space.names, X.tolist(), strict=True)))
         entered = "given" if findings.given[row] else f"iteration {findings.iteration[row]}"
         shown.append(
             {
-                "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
+                "picture": inline(plot_snapshots(response), f"bearing{number}", alternative),
                 "why": why,
                 "simulation": int(findings.ids[row]),
                 "entered": "initial design" if findings.initial[row] else entered,
                 "result": describe_outcome(response),
                 "terms": "" if terms is None else terms.text,
-                "probabilities": dict(zip(simulator.outcomes, prediction.probabilities[0].tolist(), strict=True)),
+                "probabilities": findings.classifier.probabilities(X[None])[0].tolist(),
             }
         )
     return shown
@@ -249,30 +227,32 @@ def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
 
 def _learner(findings: Findings) -> dict[str, Any]:
     """Numbers of active designs and batches, and what each boundary is learned from."""
-    batch = findings.campaign.settings.sampling.batch
-    active = findings.origin == ACTIVE
-    _, sizes = np.unique(findings.iteration[active], return_counts=True)
-    checks = findings.origin == CHECK
+    _, sizes = np.unique(findings.iteration[findings.origin == ACTIVE], return_counts=True)
+    checks = findings.iteration[findings.origin == CHECK]
     return {
-        "chosen": int(np.sum(active)),
+        "chosen": sizes.sum(),
         "batches": len(sizes),
-        "checked": int(np.sum(checks)),
-        "checks": len(np.unique(findings.iteration[checks])),
-        "ended_within_a_batch": bool(np.any(sizes[:-1] < batch)),
+        "checked": len(checks),
+        "checks": len(np.unique(checks)),
+        "ended_within_a_batch": bool(np.any(sizes[:-1] < findings.campaign.settings.sampling.batch)),
         "learned": _learned_from(findings),
     }
 
 
-def _judging(evidence: Evidence, folder: str, risk: RiskFindings | None) -> list[str]:
-    """The commands that reproduce the evidence of the page about a run folder (quoted), and the page."""
-    commands = []
-    if evidence.curve is not None and evidence.curve.source == "compare":
-        budgets = ",".join(str(n) for n in sorted({score.simulations for score in evidence.curve.scores}))
-        test = evidence.curve.test_size + evidence.curve.unanswered
-        commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}")
+def _commands(findings: Findings, evidence: Evidence, done: int, risk: RiskFindings | None) -> list[str]:
+    """The commands that reproduce the campaign of so many simulations, the evidence and the page."""
+    campaign, folder = findings.campaign, quoted(findings.folder)
+    budget = f" --budget {done}" if done != campaign.settings.sampling.budget else ""
+    commands = [f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {folder}{budget}"]
+    if campaign.is_elsewhere:
+        continues = continue_command(findings.folder, campaign)
+        commands += [continues, f"activefail tell {folder} --csv answers.csv"]
+    if (curve := evidence.curve) is not None and curve.source == "compare":
+        budgets = ",".join(str(n) for n in sorted({score.simulations for score in curve.scores}))
+        commands.append(f"activefail compare {folder} --budgets {budgets} --test {curve.test_size + curve.unanswered}")
     if evidence.error is not None:
         commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}")
-    return [*commands, f"activefail report {folder}{f' {risk.options}' if risk else ''}"]
+    return [*commands, f"activefail report {folder}{f' {risk.request.options}' if risk else ''}"]
 
 
 def _next_step(campaign: Campaign, evidence: Evidence, folder: str, has_risk: bool) -> tuple[str, str]:
@@ -305,88 +285,53 @@ def render(
         failure: what the campaign says of a probability.
         risk: what a hazard means for the campaign's bearing.
     """
-    campaign, folder = findings.campaign, findings.folder
-    text = (folder / SETTINGS).read_text(encoding="utf-8")
-    settings, outcomes = campaign.settings, campaign.simulator.outcomes
-    history = History.of(store.batches)
-    done = history.asked_for
-    counts = _counts(findings)
-    scales = length_scales(findings.classifier)
-    run_folder = quoted(folder)
-    stage("drawing")
+    campaign, folder = findings.campaign, quoted(findings.folder)
+    text = (findings.folder / SETTINGS).read_text(encoding="utf-8")
+    settings, history = campaign.settings, History.of(store.batches)
+    done, scales = history.asked_for, length_scales(findings.classifier)
     left = max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0
-    continues = continue_command(folder, campaign)
-    budget = f" --budget {done}" if done != settings.sampling.budget else ""
-    versions = provenance()
+    continues = continue_command(findings.folder, campaign)
+    next_step = _next_step(campaign, evidence, folder, risk is not None)
+    if left:
+        next_step = continues, f"continues the campaign: {left} of the planned simulations are left"
+    hidden = ("processor_features", "bearing_sources")
+    stage("drawing")
     numbers: dict[str, Any] = {
-        "title": visible(settings.description or folder.name),
+        "title": visible(settings.description or findings.folder.name),
         "version": __version__,
-        "settings": settings,
+        "findings": findings,
+        "evidence": evidence,
+        "campaign": campaign,
         "simulator": simulator_in_words(settings),
         "features": features_in_words(settings),
         "learner": _learner(findings),
-        "error": evidence.error,
-        "expected": findings.expected,
         "variables": list(zip(quantities.variables(campaign), campaign.space.parameters, strict=True)),
         "fixed": list(zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)),
-        "outcomes": outcomes,
-        "boundary": findings.boundary,
-        "counts": {title: values.tolist() for title, values in counts.items()},
+        "counts": _counts(findings),
         "lost": where_lost(campaign.space.names, findings.X, ~findings.answered),
-        "counts_picture": picture(
-            plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
-            "counts",
-            "Shares of the outcomes",
-        ),
         "failure": failure_section(findings, failure),
         "risk": fragility_section(risk),
         "has_pulse": has_pulse(campaign.space),
-        "curve": _curve(findings, evidence),
+        "curve": _curve(findings, evidence.curve),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
-        "reliability": _reliability(findings, evidence),
+        "reliability": _reliability(findings, evidence.reliability),
         "scales": _scales(findings, scales),
         "uncertain": _uncertain(findings),
-        "pool": len(findings.pool),
-        "beyond": findings.beyond,
-        "missing": evidence.missing,
         "done": done,
         "unseen": Summary.of(settings, campaign.schema, history, store.asked).unseen_warning,
         "left": left,
-        "folder": run_folder,
+        "folder": folder,
         "continues": continues,
-        "next_step": (
-            (continues, f"continues the campaign: {left} of the planned simulations are left")
-            if left
-            else _next_step(campaign, evidence, run_folder, risk is not None)
-        ),
-        "is_elsewhere": campaign.is_elsewhere,
-        "commands": [
-            f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {run_folder}{budget}",
-            *([continues] if campaign.is_elsewhere else []),
-            *([f"activefail tell {run_folder} --csv answers.csv"] if campaign.is_elsewhere else []),
-            *_judging(evidence, run_folder, risk),
-        ],
-        "needs_code": campaign.settings.needs_code,
+        "next_step": next_step,
+        "commands": _commands(findings, evidence, done, risk),
         "drawn": isinstance(campaign.simulator, DfpSimulator),
         "frozen": text,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
-        "versions": {
-            name: value for name, value in versions.items() if name not in ("processor_features", "bearing_sources")
-        },
+        "versions": {name: value for name, value in provenance().items() if name not in hidden},
     }
     stage("simulating the gallery")
     numbers["gallery"] = _gallery(findings)
     environment = page_environment()
     environment.filters["spread"] = spread
     return environment.get_template("report.html.j2").render(numbers)
-
-
-def write_report(page: str, path: Path) -> None:
-    """Write the page; the file appears under its name only when complete.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    with replacing(target_of(path)) as file:
-        file.write(page)

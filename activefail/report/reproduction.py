@@ -20,7 +20,7 @@ from activefail.paper import study as paper
 from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
 from activefail.paper.methods import LENGTH_SCALE
 from activefail.paper.published import Table2Row
-from activefail.paper.study import METHODS, Study, Variant
+from activefail.paper.study import METHODS, Draw, Study, Variant
 from activefail.report.environment import markdown_environment
 from activefail.report.folder import write_folder
 from activefail.sample_mean import Estimate, contains
@@ -94,34 +94,29 @@ def _p_values(study: Study) -> list[dict[str, str]]:
     for boundary, theirs in published.P_VALUES.items():
         medians = paper.median_p_values(study.draws, boundary)
         shares = paper.significant_share(study.draws, boundary)
-        for i, row in enumerate(rows):
-            row[f"{boundary}_paper"] = _p(theirs[i])
-            row[boundary] = _p(medians[i])
-            row[f"{boundary}_share"] = percent_of(shares[i], len(study.draws))
+        for row, printed, median, share in zip(rows, theirs, medians, shares, strict=True):
+            row[f"{boundary}_paper"], row[boundary] = _p(printed), _p(median)
+            row[f"{boundary}_share"] = percent_of(share, len(study.draws))
     return rows
 
 
-def _processes(study: Study) -> list[dict[str, str]]:
-    def row(method: str) -> dict[str, str]:
-        held_out, fresh, log_score, error, slope, converged = (
-            claims.process(study.draws, method, name)
-            for name in ("held_out", "fresh", "log_score", "calibration_error", "calibration_slope", "converged")
-        )
-        low, high = Estimate.over(slope).of_mean
-        caution = "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else None
-        return {
-            "title": TITLES[method],
-            "held_out": with_mean(held_out, share=True),
-            "fresh": with_mean(fresh, share=True),
-            "gain": with_mean(100 * claims.fresh_gain(study.draws, method), 1),
-            "log_score": with_mean(log_score),
-            "error": with_mean(error, share=True),
-            "slope": with_mean(slope, 2),
-            "caution": caution or "neither over- nor underconfident",
-            "unconverged": str(int(np.sum(converged == 0))),
-        }
+def _process(draws: list[Draw], method: str) -> dict[str, str]:
+    def of(name: str) -> Array:
+        return claims.process(draws, method, name)
 
-    return [row(method) for method in METHODS]
+    low, high = Estimate.over(of("calibration_slope")).of_mean
+    caution = "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else "neither over- nor underconfident"
+    return {
+        "title": TITLES[method],
+        "held_out": with_mean(of("held_out"), share=True),
+        "fresh": with_mean(of("fresh"), share=True),
+        "gain": with_mean(100 * claims.fresh_gain(draws, method), 1),
+        "log_score": with_mean(of("log_score")),
+        "error": with_mean(of("calibration_error"), share=True),
+        "slope": with_mean(of("calibration_slope"), 2),
+        "caution": caution,
+        "unconverged": str(int(np.sum(of("converged") == 0))),
+    }
 
 
 def _length_scales(study: Study) -> list[dict[str, Any]]:
@@ -201,40 +196,36 @@ def _table_2_numbers(study: Study) -> dict[str, Any]:
     }
 
 
-def _regression_numbers(study: Study) -> dict[str, Any]:
-    draws = study.draws
+def _logistic(draws: list[Draw], boundary: str) -> dict[str, Any]:
+    def of(name: str) -> Array:
+        return claims.logistic(draws, boundary, name)
+
     return {
-        "logistic": [
-            {
-                "boundary": boundary,
-                "paper": f"{theirs:.2f}",
-                "in_sample": with_mean(claims.logistic(draws, boundary, "in_sample"), share=True),
-                "one": span(Estimate.over(claims.logistic(draws, boundary, "in_sample")).of_one, share=True),
-                "fresh": with_mean(claims.logistic(draws, boundary, "fresh"), share=True),
-                "separated": int(np.sum(claims.logistic(draws, boundary, "separated"))),
-                "without": int(np.sum(np.isnan(claims.logistic(draws, boundary, "p_values")).any(axis=1))),
-            }
-            for boundary, theirs in published.LOGISTIC.items()
-        ],
-        "p_values": _p_values(study),
-        "significant": {
-            boundary: {
-                "ours": named(claims.majority(draws, boundary)),
-                "paper": named(claims.papers_significant(boundary)),
-                "same": claims.majority(draws, boundary) == claims.papers_significant(boundary),
-            }
-            for boundary in published.P_VALUES
-        },
+        "boundary": boundary,
+        "paper": f"{published.LOGISTIC[boundary]:.2f}",
+        "in_sample": with_mean(of("in_sample"), share=True),
+        "one": span(Estimate.over(of("in_sample")).of_one, share=True),
+        "fresh": with_mean(of("fresh"), share=True),
+        "separated": int(np.sum(of("separated"))),
+        "without": int(np.sum(np.isnan(of("p_values")).any(axis=1))),
     }
 
 
+def _significant_features(draws: list[Draw], boundary: str) -> dict[str, Any]:
+    ours, theirs = claims.majority(draws, boundary), claims.papers_significant(boundary)
+    return {"ours": named(ours), "paper": named(theirs), "same": ours == theirs}
+
+
 def _process_numbers(study: Study) -> dict[str, Any]:
-    draws = study.draws
+    draws, quarter = study.draws, _quarter(study)
     held_out = claims.held_out(draws)
-    quarter = _quarter(study)
     papers_interval = binomtest(round(published.HELD_OUT * quarter), quarter).proportion_ci(method="exact")
-    ep, laplace = (claims.process(draws, method, "log_score") for method in ("ep", "laplace"))
     gain, papers_gain = 100 * claims.fresh_gain(draws), 100 * claims.papers_gain(draws)
+
+    def ep_over_laplace(name: str) -> Array:
+        ep, laplace = (claims.process(draws, method, name) for method in ("ep", "laplace"))
+        return ep - laplace
+
     return {
         "held_out_paper": f"{published.HELD_OUT:.2f}",
         "held_out_paper_interval": span((papers_interval.low, papers_interval.high), 2),
@@ -242,17 +233,15 @@ def _process_numbers(study: Study) -> dict[str, Any]:
         "held_out_one": span(Estimate.over(held_out).of_one, share=True),
         "held_out_as_high": int(np.sum(held_out >= published.HELD_OUT - claims.PERCENT)),
         "held_out_number": held_out.size,
-        "processes": _processes(study),
+        "processes": [_process(draws, method) for method in METHODS],
         "gain": with_mean(gain, 1),
         "gain_one": span(Estimate.over(gain).of_one, 1),
         "papers_gain": with_mean(papers_gain, 1),
         "papers_gain_one": span(Estimate.over(papers_gain).of_one, 1),
         "paper_gain": f"{100 * published.GAIN:.0f}",
         "gain_as_high": int(np.sum(gain >= 100 * (published.GAIN - claims.PERCENT))),
-        "ep_log_score": with_mean(ep - laplace),
-        "ep_accuracy": with_mean(
-            100 * (claims.process(draws, "ep", "fresh") - claims.process(draws, "laplace", "fresh")), 2
-        ),
+        "ep_log_score": with_mean(ep_over_laplace("log_score")),
+        "ep_accuracy": with_mean(100 * ep_over_laplace("fresh"), 2),
     }
 
 
@@ -286,7 +275,9 @@ def _context(study: Study) -> dict[str, Any]:
         "ordered": sum(paper.orders_as_the_paper(draw.processes["laplace"]) for draw in draws),
         "significant_names": named(claims.papers_significant("failure")),
         "tilted": paper.TILTED,
-        **_regression_numbers(study),
+        "logistic": [_logistic(draws, boundary) for boundary in published.LOGISTIC],
+        "p_values": _p_values(study),
+        "significant": {boundary: _significant_features(draws, boundary) for boundary in published.P_VALUES},
         **_process_numbers(study),
         "length_titles": [TITLES[method] for method in METHODS],
         "length_scales": _length_scales(study),

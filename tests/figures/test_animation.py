@@ -1,6 +1,5 @@
 """Films of one bearing: files that play, and refusals that say what to do."""
 
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -25,8 +24,16 @@ def failure() -> Response:
     return simulate_one(Bearing.from_table(4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9), Pulse(2.5, 0.5 * GRAVITY))
 
 
+@pytest.fixture
+def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven frames a second, in real time."""
+    monkeypatch.setattr(animation, "FRAMES_PER_SECOND", 7.0)
+    monkeypatch.setattr(animation, "default_slow_motion", lambda duration: 1.0)
+
+
+@pytest.mark.usefixtures("few_frames")
 def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
-    path = save_animation(failure, tmp_path / "bearing.gif", fps=7.0, slow_motion=1.0)
+    path = save_animation(failure, tmp_path / "bearing.gif")
     motion = Motion(failure)
     with Image.open(path) as film:
         assert film.n_frames == round(7.0 * (motion.end - motion.onset)) + 1
@@ -43,9 +50,10 @@ def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
     assert path.stat().st_size < 1e6
 
 
+@pytest.mark.usefixtures("few_frames")
 def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path = save_animation(failure, str(tmp_path / "bearing.MP4"), fps=10.0, slow_motion=1.0)
+    path = save_animation(failure, tmp_path / "bearing.MP4")
     raw = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     seen = subprocess.run(raw, capture_output=True, check=True, timeout=PATIENCE)
     size = re.search(rb"Video: h264.* (\d+)x(\d+)", seen.stderr)
@@ -54,7 +62,7 @@ def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
     count, rest = divmod(len(seen.stdout), width * height * 3)
     motion = Motion(failure)
     assert (width, height % 2, rest) == (800, 0, 0)
-    assert count == pytest.approx(10.0 * (motion.end - motion.onset + HOLD), abs=2)
+    assert count == pytest.approx(7.0 * (motion.end - motion.onset + HOLD), abs=2)
 
 
 def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
@@ -72,12 +80,15 @@ def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
 
 def test_a_long_film_keeps_its_speed_and_loses_frames(failure, monkeypatch, tmp_path):
     monkeypatch.setattr(animation, "MOST_FRAMES", 15)
-    path = save_animation(failure, tmp_path / "slow.gif", slow_motion=3.0)
+    path = save_animation(failure, tmp_path / "slow.gif")
     motion = Motion(failure)
+    slow_motion = default_slow_motion(motion.end - motion.onset)
     with Image.open(path) as film:
         assert film.n_frames == 15
         film.seek(3)
-        assert film.info["duration"] == pytest.approx(1000.0 * 3.0 * (motion.end - motion.onset) / 14.0, abs=10.0)
+        assert film.info["duration"] == pytest.approx(
+            1000.0 * slow_motion * (motion.end - motion.onset) / 14.0, abs=10.0
+        )
 
 
 def test_the_speed_chosen_gives_a_film_of_at_most_twelve_seconds_or_real_time():
@@ -88,35 +99,18 @@ def test_the_speed_chosen_gives_a_film_of_at_most_twelve_seconds_or_real_time():
     assert MOST_FRAMES / 28.0 > 25.0
 
 
-@pytest.mark.parametrize("name", ["bearing.avi", "bearing", "bearing.gif.txt"])
-def test_another_ending_is_refused_with_the_allowed_ones(failure, tmp_path, name):
-    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
-        save_animation(failure, tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("setting", [{"fps": 0.0}, {"fps": float("nan")}, {"slow_motion": -1.0}])
-def test_impossible_speeds_are_refused(failure, tmp_path, setting):
-    with pytest.raises(InputError, match=f"`{next(iter(setting))} > 0` must hold"):
-        save_animation(failure, tmp_path / "bearing.gif", **setting)
-
-
-def test_a_missing_folder_is_named(failure, tmp_path):
-    with pytest.raises(InputError, match="nowhere"):
-        save_animation(failure, tmp_path / "nowhere" / "bearing.gif")
-
-
 def test_an_mp4_without_ffmpeg_is_refused_with_what_to_install(failure, tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError, match=r"pip install 'activefail\[video\]'"):
         save_animation(failure, tmp_path / "bearing.mp4")
 
 
+@pytest.mark.usefixtures("few_frames")
 def test_an_ffmpeg_that_fails_is_reported_with_its_words(failure, tmp_path, monkeypatch):
     broken = Path(tmp_path / "ffmpeg")
     broken.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such encoder')\n")
     broken.chmod(0o755)
     monkeypatch.setattr(animation, "find_ffmpeg", lambda: str(broken))
     with pytest.raises(ActivefailError, match="no such encoder"):
-        save_animation(failure, tmp_path / "bearing.mp4", fps=5.0, slow_motion=1.0)
+        save_animation(failure, tmp_path / "bearing.mp4")

@@ -3,11 +3,10 @@
 import numpy as np
 
 from activefail.figures.design import Mark, plot_required
-from activefail.parameter import Parameter
+from activefail.findings.quantities import custom_quantity, quantity
 from activefail.risk.design.required_chart import RequiredChart
-from activefail.space import DesignSpace
 
-SPACE = DesignSpace((Parameter("D_tot", 0.4, 0.9, "m"), Parameter("T_b", 2.0, 6.0, "s"), Parameter("mu", 0.03, 0.1)))
+SHOWN = {name: quantity(name) for name in ("D_tot", "T_b", "mu")}
 
 
 def chart(targets: int = 3, name: str = "mu") -> RequiredChart:
@@ -19,7 +18,7 @@ def chart(targets: int = 3, name: str = "mu") -> RequiredChart:
 
 
 def test_a_chart_needs_no_design():
-    figure = plot_required(chart(), SPACE)
+    figure = plot_required(chart(), SHOWN)
     assert [axes.get_title(loc="left") for axes in figure.axes] == [f"P(failure) ≤ {p} %" for p in ("10", "5", "2.5")]
     assert len(figure.legends) == 1
 
@@ -27,11 +26,11 @@ def test_a_chart_needs_no_design():
 def test_an_empty_panel_says_why_in_a_line_that_it_holds():
     made = chart()
     made.required[2] = np.nan
-    figure = plot_required(made, SPACE)
+    figure = plot_required(made, SHOWN)
     assert [[text.get_text().replace("\n", " ") for text in axes.texts] for axes in figure.axes] == [
         [],
         [],
-        ["no D_tot in its range meets this target"],
+        ["no $D_{tot}$ in its range meets this target"],
     ]
     figure.draw_without_rendering()
     panel = figure.axes[2]
@@ -41,28 +40,29 @@ def test_an_empty_panel_says_why_in_a_line_that_it_holds():
 
 def test_every_design_is_in_one_legend_once_and_in_the_panel_of_its_target():
     marks = [
-        Mark(3.5, 0.6, 0.05, "earlier look", is_verified=False, is_result=False),
-        Mark(3.5, 0.65, 0.05, "verified: mu = 0.1"),
-        Mark(3.5, 0.75, 0.025, "verified: mu = 0.1"),
+        Mark(3.5, 0.6, None, 0.05, "other look"),
+        Mark(3.5, 0.65, 0.1, 0.05, "verified"),
+        Mark(3.5, 0.75, 0.1, 0.025, "verified"),
     ]
-    figure = plot_required(chart(), SPACE, marks)
+    figure = plot_required(chart(), SHOWN, marks)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     # No value of the third line meets a target.
-    lines = ["mu = 0.1", "mu = 0.06", "mu = 0.03: no D_tot meets a target"]
-    assert labels == [*lines, "earlier look", "verified: mu = 0.1"]
+    lines = ["$\\mu$ = 0.1", "$\\mu$ = 0.06", "$\\mu$ = 0.03: no $D_{tot}$ meets a target"]
+    assert labels == [*lines, "other look", "verified: $\\mu$ = 0.1"]
     assert [axes.get_legend() for axes in figure.axes] == [None] * 3
     assert [len(axes.lines) for axes in figure.axes] == [3, 5, 4]
 
 
 def test_a_line_with_a_single_value_has_a_marker():
-    for line in plot_required(chart(), SPACE).axes[0].lines:
+    for line in plot_required(chart(), SHOWN).axes[0].lines:
         assert line.get_marker() not in ("None", ".", "")
         assert line.get_markersize() >= 3
 
 
 def test_a_wide_legend_takes_more_rows_and_covers_no_panel():
     name = "a_variable_with_quite_a_long_name"
-    figure = plot_required(chart(1, name), SPACE, [Mark(3.5, 0.65, 0.1, f"not verified: {name} = 0.1")])
+    shown = SHOWN | {name: custom_quantity(name)}
+    figure = plot_required(chart(1, name), shown, [Mark(3.5, 0.65, 0.1, 0.1, "not verified")])
     figure.draw_without_rendering()
     legend, panel = figure.legends[0].get_window_extent(), figure.axes[0].get_tightbbox()
     assert panel is not None

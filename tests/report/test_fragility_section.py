@@ -199,7 +199,7 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
             found = risk_findings(estimator, asked_of_site, asked)
             assert found.chart is not None
             assert found.chart.targets.tolist() == [0.2]
-            assert found.options == "--hazard 'a site.toml' --target 0.2"
+            assert found.request.options == "--hazard 'a site.toml' --target 0.2"
             assert not found.designs
             asked_of_site = Inquiry.of(opened.campaign, hazard, None, {"mu": 0.06})
             found = risk_findings(estimator, asked_of_site, asked)

@@ -21,7 +21,7 @@ from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
-from activefail.comparison.static import Recall, Score, remember_scores, remembered_scores
+from activefail.comparison.static import Recall, Score, remember_scores
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import curves, outcome_planes, samples, svg
@@ -32,8 +32,6 @@ from activefail.loop.learning import current
 from activefail.loop.progress import Observer
 from activefail.loop.running import run
 from activefail.parameter import Parameter
-from activefail.record.batch import Schema
-from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
 from activefail.surrogate.threads import one_thread
@@ -221,13 +219,6 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
     assert rows[2][:6] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
     assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 simul" in Page(text).text
     assert "adds the curve of static" not in text
-
-
-@pytest.mark.parametrize("saved", [3, [], {}, {"scores": [{"sampling": "active"}], "unanswered": 0}])
-def test_scores_that_no_comparison_wrote_are_none(saved):
-    store = MemoryStore(Schema(("x",), ("safe", "failure"), ("",), ()))
-    store.remember(("comparison",), saved)
-    assert remembered_scores(store) is None
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -461,7 +452,7 @@ def test_a_curve_has_room_for_long_names_and_for_ticks_of_many_digits(name, unit
     x, along, event = np.linspace(low, high, 9), quantities.quantity(name, unit), quantities.plain(outcome)
     p = np.linspace(0.0, 1.0, 9)
     for figure in (
-        curves.plot_fragility(x, p, 0.9 * p, p, along, event, low, "black"),
+        curves.plot_fragility(x, SimpleNamespace(beyond=p, low=0.9 * p, high=p), along, event, low, "black"),
         curves.plot_required_value(x, 0.001 * p, 0.001, high, along, event, "black"),
     ):
         assert_text_is_inside(figure)
