@@ -49,7 +49,7 @@ def ask(run: "Run", n: int = 1, *, beyond: bool = False, ignore_stop: bool = Fal
         >>> while len(designs := run.ask(8)):
         ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
     """
-    from activefail.findings.dataframes import designs_frame
+    from activefail.findings.tables import designs_frame
     from activefail.loop import asking
 
     check_whole("n", n, 1)

@@ -197,7 +197,7 @@ class Run:
     @property
     def simulations(self) -> "DataFrame":
         """The simulations so far, in the order of the record, with the columns of `activefail export`."""
-        from activefail.findings.dataframes import simulations_frame
+        from activefail.findings.tables import simulations_frame
 
         return simulations_frame(self.campaign, self.store)
 
@@ -208,14 +208,14 @@ class Run:
         The columns are `id`, then `former_outcome`, `former_cause` and `former_<margin>` of the result that was
         replaced, then `outcome`, `cause` and the margins of the one that replaced it.
         """
-        from activefail.findings.dataframes import corrections_frame
+        from activefail.findings.tables import corrections_frame
 
         return corrections_frame(self.campaign, self.store)
 
     @property
     def in_flight(self) -> "DataFrame":
         """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
-        from activefail.findings.dataframes import designs_frame
+        from activefail.findings.tables import designs_frame
 
         return designs_frame(self.campaign, self.handed_out.in_flight)
 
@@ -401,7 +401,7 @@ class Run:
         Raises:
             InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.
         """
-        from activefail.findings.dataframes import designs_of, predictions_frame
+        from activefail.findings.tables import designs_of, predictions_frame
 
         designs, classifier = designs_of(self.campaign, X), self._predicting()
         with one_thread_of_blas():
@@ -456,7 +456,7 @@ class Run:
 
     def export_parquet(self, target: Path | str) -> int:
         """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
-        from activefail.findings.parquet import export_parquet
+        from activefail.findings.tables import export_parquet
 
         return export_parquet(self.campaign, self.store, path_of("target", target))
 

@@ -8,7 +8,6 @@ from activefail.acquisition.criteria import binary_entropy
 from activefail.campaign.assembly import Campaign
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Predicted
-from activefail.surrogate.saved import SavedClassifier
 
 CONFIDENCE = 0.95
 """Confidence of the intervals of probabilities in the report and the explorer."""
@@ -66,10 +65,3 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
         moments.mean,
         moments.sd,
     )
-
-
-def predicted_values(campaign: Campaign, classifier: SavedClassifier, X: Array) -> Array:
-    """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
-    predicted = classifier.predicted(X)
-    moments = predicted.moments[campaign.severity - 1]
-    return np.column_stack([predicted.probabilities, moments.mean, moments.sd])

@@ -1,34 +1,145 @@
-"""Simulate a CSV table, predict a CSV table, export a campaign as one."""
+"""Tables of designs and simulations: DataFrames, CSV tables to simulate, predict and export, and a Parquet file."""
 
-from collections.abc import Callable, Iterator
+import importlib
+from collections.abc import Callable, Sequence
+from numbers import Number
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
 from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
-from activefail.csv_table import DesignTable, Source, Target, rereadable, writing
+from activefail.csv_table import Check, DesignTable, Source, Target, rereadable, writing
 from activefail.errors import InputError
-from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
+from activefail.files import replacing, target_of, writing_to
+from activefail.loop.history import History
+from activefail.record.asked import Asked
+from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from activefail.surrogate.saved import SavedClassifier
 
 _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 
 Advance = Callable[[int], None]
 
-Column = NDArray[Any] | list[str]
-"""A column of an exported table: int64 or float64 numbers, or texts."""
+
+def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
+    """Designs that were handed out: `id`, the variables, and the fixed quantities."""
+    import pandas as pd
+
+    columns: dict[str, Any] = {"id": asked.id}
+    columns |= dict(zip(campaign.space.names, asked.designs.T, strict=True))
+    columns |= {name: np.full(len(asked), value) for name, value in campaign.space.fixed.items()}
+    return pd.DataFrame(columns)
 
 
-def check_bearing(model: Model) -> Callable[[Array], str | None]:
+def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
+    """The simulations of a record, in its order.
+
+    `id`, `iteration`, `origin`, the variables, `outcome`, `cause` ("" if there is none), the margins (NaN where
+    undefined), and `seconds`.
+    """
+    import pandas as pd
+
+    history, space = History.of(store.batches), campaign.space
+    columns: dict[str, Any] = {"id": history.id, "iteration": history.iteration}
+    columns["origin"] = [_ORIGINS[origin] for origin in history.origin.tolist()]
+    columns |= dict(zip(space.names, history.designs.reshape(len(history), space.dimension).T, strict=True))
+    columns |= _result_columns(campaign, history)
+    columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
+    return pd.DataFrame(columns)
+
+
+def corrections_frame(campaign: Campaign, store: Store) -> "DataFrame":
+    """The corrections of a record, in their order: `id`, the former results, and those that replaced them."""
+    import pandas as pd
+
+    corrections = store.corrections
+    columns: dict[str, Any] = {"id": History.of(store.batches).id[corrections.place]}
+    for prefix, results in (("former_", corrections.former), ("", corrections.results)):
+        columns |= {prefix + name: column for name, column in _result_columns(campaign, results).items()}
+    return pd.DataFrame(columns)
+
+
+def _result_columns(campaign: Campaign, results: Results | History) -> dict[str, Any]:
+    """The columns `outcome`, `cause` and the margins of n results."""
+    simulator = campaign.simulator
+    outcomes = (*simulator.outcomes, "numerical_failure")
+    assert NUMERICAL_FAILURE == -1  # the last of these names
+    margins = results.margins.reshape(len(results), len(simulator.margins))
+    return {
+        "outcome": [outcomes[outcome] for outcome in results.outcome.tolist()],
+        "cause": [cause_name(simulator.causes, cause) for cause in results.cause.tolist()],
+        **dict(zip(simulator.margins, margins.T, strict=True)),
+    }
+
+
+def predictions_frame(campaign: Campaign, classifier: "SavedClassifier", X: Array, index: Any = None) -> "DataFrame":
+    """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments.
+
+    Args:
+        campaign, classifier: the campaign and its classifier.
+        X: the designs.
+        index: of the table; 0, 1, ... if None.
+    """
+    import pandas as pd
+
+    values = _predicted_values(campaign, classifier, X)
+    columns = dict(zip(campaign.space.names, X.T, strict=True))
+    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
+
+
+def _predicted_values(campaign: Campaign, classifier: "SavedClassifier", X: Array) -> Array:
+    """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
+    predicted = classifier.predicted(X)
+    moments = predicted.moments[campaign.severity - 1]
+    return np.column_stack([predicted.probabilities, moments.mean, moments.sd])
+
+
+def designs_of(campaign: Campaign, X: Any) -> Array:
+    """Designs, (n, d), from an array or a list of rows in the space's order, or from a table with names.
+
+    Args:
+        campaign: the campaign.
+        X: the array or rows; or a DataFrame, a dictionary of columns, or a list of dictionaries, whose names decide.
+
+    Raises:
+        InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
+    """
+    from activefail.csv_table import Table
+
+    space = campaign.space
+    has_order = isinstance(X, Sequence) and not isinstance(X, str) and bool(X) and all(map(_is_plain, X))
+    if not (has_order or isinstance(X, np.ndarray)):
+        return Table.of_python(X).designs(space)
+    rule = f"X: must be a table or an (n, {space.dimension}) array of numbers with the columns {', '.join(space.names)}"
+    try:
+        designs = np.array(X, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{rule}: {error}.") from None
+    if designs.ndim != 2 or designs.shape[1] != space.dimension:
+        raise InputError(f"{rule}, got shape {designs.shape}.")
+    if not np.isfinite(designs).all():
+        row, column = np.argwhere(~np.isfinite(designs))[0].tolist()
+        raise InputError(f"X: row {row}, column {space.names[column]}: must be finite, got {designs[row, column]}.")
+    return designs
+
+
+def _is_plain(row: object) -> bool:
+    """Whether a row has no names, so that its order decides; a Series and a named tuple have names."""
+    return isinstance(row, np.ndarray | Number | str) or (isinstance(row, list | tuple) and not hasattr(row, "_fields"))
+
+
+def check_bearing(model: Model) -> Check:
     """A check for `DesignTable.checked` that a design of Table 1's variables is a feasible bearing."""
 
     def check(design: Array) -> str | None:
@@ -70,25 +181,18 @@ def simulate_table(
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    added = ("outcome", "cause", *o.COLUMNS)
     counts = dict.fromkeys(o.OUTCOME_NAMES, 0)
-    with rereadable(source) as kept:
-        table = DesignTable.checked(kept, TABLE_1.names, added, check_bearing(model))
-        advance = begin(table.rows)
-        with writing(target, [*table.header, *added]) as write:
-            for texts, X in table.chunks():
-                results = simulate(X, model, tolerance, progress=advance)
-                outcomes, causes = results.outcome_name.tolist(), results.cause_name.tolist()
-                for outcome in outcomes:
-                    counts[outcome] += 1
-                write(
-                    [
-                        [*text, outcome, cause, *("" if np.isnan(value) else repr(value) for value in values)]
-                        for text, outcome, cause, values in zip(
-                            texts, outcomes, causes, results.columns.tolist(), strict=True
-                        )
-                    ]
-                )
+
+    def simulated(X: Array, advance: Advance) -> list[list[Any]]:
+        results = simulate(X, model, tolerance, progress=advance)
+        outcomes, columns = results.outcome_name.tolist(), results.columns.tolist()
+        for outcome in outcomes:
+            counts[outcome] += 1
+        rows = zip(outcomes, results.cause_name.tolist(), columns, strict=True)
+        return [[outcome, cause, *map(_cell, values)] for outcome, cause, values in rows]
+
+    added = ("outcome", "cause", *o.COLUMNS)
+    _extend(source, target, TABLE_1.names, added, check_bearing(model), simulated, begin)
     return counts
 
 
@@ -107,10 +211,7 @@ def predict_table(
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    from activefail.findings.prediction import predicted_values
-
-    space = campaign.space
-    added = predicted_columns(classifier.outcomes)
+    space, outside = campaign.space, 0
 
     def check(design: Array) -> str | None:
         with np.errstate(all="ignore"):
@@ -121,70 +222,86 @@ def predict_table(
                 return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
         return f"features: must be finite; those of {design.tolist()} are not"
 
-    outside = 0
-    with rereadable(source) as kept:
-        table = DesignTable.checked(kept, space.names, added, check)
-        advance = begin(table.rows)
-        with writing(target, [*table.header, *added]) as write:
-            for texts, X in table.chunks():
-                outside += int(np.count_nonzero(~space.contains(X)))
-                predictions = predicted_values(campaign, classifier, X)
-                write([[*text, *map(repr, row)] for text, row in zip(texts, predictions.tolist(), strict=True)])
-                advance(len(X))
+    def predicted(X: Array, advance: Advance) -> list[list[Any]]:
+        nonlocal outside
+        outside += int(np.count_nonzero(~space.contains(X)))
+        rows: list[list[Any]] = _predicted_values(campaign, classifier, X).tolist()
+        advance(len(X))
+        return rows
+
+    _extend(source, target, space.names, predicted_columns(classifier.outcomes), check, predicted, begin)
     return outside
 
 
-def export_table(campaign: Campaign, store: Store, target: Target) -> int:
-    """Write every simulation of a campaign as a row of a CSV table; returns their number."""
-    number = 0
-    with writing(target, exported_names(campaign)) as write:
-        for columns in exported_columns(campaign, store):
-            rows = list(zip(*map(_as_text, columns.values()), strict=True))
-            write(rows)
-            number += len(rows)
-    return number
+def _extend(
+    source: Source,
+    target: Target,
+    names: Sequence[str],
+    added: Sequence[str],
+    check: Check,
+    cells: Callable[[Array, Advance], list[list[Any]]],
+    begin: Callable[[int], Advance],
+) -> None:
+    """Write a CSV table of designs with columns added.
 
-
-def exported_names(campaign: Campaign) -> list[str]:
-    """The columns of an exported table, in order."""
-    simulator = campaign.simulator
-    return ["id", "iteration", "origin", *campaign.space.names, "outcome", "cause", *simulator.margins, "seconds"]
-
-
-def exported_columns(campaign: Campaign, store: Store) -> Iterator[dict[str, Column]]:
-    """The columns of an exported table by name, for the n simulations of one batch after another.
-
-    A column is (n,) numbers, where an undefined margin is NaN, or n texts, where a simulation without a cause has "".
+    Args:
+        source, target: the tables.
+        names: of the columns of a design.
+        added: names of the added columns.
+        check: a rule for each design.
+        cells: of the added columns for n designs, (n, d), with a callback for finished rows.
+        begin: called with the number of rows once they are checked; returns this callback.
     """
-    for batch in store.batches:
-        yield _columns(campaign, batch)
+    with rereadable(source) as kept:
+        table = DesignTable.checked(kept, names, added, check)
+        advance = begin(table.rows)
+        with writing(target, [*table.header, *added]) as write:
+            for texts, X in table.chunks():
+                write([[*text, *new] for text, new in zip(texts, cells(X, advance), strict=True)])
 
 
-def _columns(campaign: Campaign, batch: Batch) -> dict[str, Column]:
-    columns: tuple[Column, ...] = (
-        batch.id,
-        np.full(len(batch), batch.iteration),
-        [_ORIGINS[origin] for origin in batch.origin.tolist()],
-        *batch.designs.T,
-        *result_columns(campaign, batch.results).values(),
-        batch.results.seconds,
+def _cell(value: Any) -> Any:
+    """A value of a CSV table: empty if it is NaN, which differs from itself."""
+    return "" if value != value else value
+
+
+def export_table(campaign: Campaign, store: Store, target: Target) -> int:
+    """Write every simulation of a campaign as a row of a CSV table (see `simulations_frame`); returns their number."""
+    frame = simulations_frame(campaign, store)
+    with writing(target, list(frame)) as write:
+        write([list(map(_cell, row)) for row in zip(*(frame[name].tolist() for name in frame), strict=True)])
+    return len(frame)
+
+
+def export_parquet(campaign: Campaign, store: Store, target: Path) -> int:
+    """Write every simulation of a campaign as a row of a Parquet file, which gets its name once complete.
+
+    The columns are those of `simulations_frame`: texts, int64 and float64. An undefined margin and the cause of a
+    simulation without one are null. The field of a variable with a unit, and that of `seconds`, has the metadata
+    `unit`.
+
+    Returns:
+        Number of simulations.
+
+    Raises:
+        InputError: if pyarrow is not installed or the file cannot be written.
+    """
+    try:
+        pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(
+            "--parquet: requires the package pyarrow; install it with `pip install 'activefail[parquet]'`."
+        ) from None
+    units = {variable.name: variable.unit for variable in campaign.space.parameters} | {"seconds": "s"}
+    kinds = {"i": pa.int64(), "f": pa.float64()}
+    frame = simulations_frame(campaign, store)
+    schema = pa.schema(
+        [
+            pa.field(name, kinds.get(kind.kind, pa.string()), metadata={"unit": units[name]} if units.get(name) else {})
+            for name, kind in frame.dtypes.items()
+        ]
     )
-    return dict(zip(exported_names(campaign), columns, strict=True))
-
-
-def result_columns(campaign: Campaign, results: Results) -> dict[str, Column]:
-    """The columns `outcome`, `cause` and the margins of n results."""
-    simulator = campaign.simulator
-    outcomes = (*simulator.outcomes, "numerical_failure")
-    assert NUMERICAL_FAILURE == -1  # the last of these names
-    columns: dict[str, Column] = {
-        "outcome": [outcomes[outcome] for outcome in results.outcome.tolist()],
-        "cause": [cause_name(simulator.causes, cause) for cause in results.cause.tolist()],
-    }
-    return columns | dict(zip(simulator.margins, results.margins.T, strict=True))
-
-
-def _as_text(column: Column) -> list[str]:
-    if isinstance(column, list):
-        return column
-    return ["" if number != number else repr(number) for number in column.tolist()]  # NaN differs from itself
+    table = pa.Table.from_pandas(frame.replace({"cause": {"": None}}), schema, preserve_index=False)
+    with writing_to(target), replacing(target_of(target), "xb") as file:
+        parquet.write_table(table.replace_schema_metadata(), file)
+    return len(frame)
