@@ -204,13 +204,14 @@ def _verified(campaign: "Campaign", store: "FolderStore", classifier: Callable[[
     from activefail.loop.history import History
     from activefail.surrogate.threads import one_thread
     from activefail.verification.error import verified
+    from activefail.verification.probability_estimator import Estimator
     from activefail.verification.stored_sets import verified_sizes
 
     iteration = History.of(store.batches).last_iteration
     if not verified_sizes(store, iteration):
         return ""
     with one_thread():
-        error = verified(campaign, store, classifier(), iteration, _CONFIDENCE)
+        error = verified(Estimator(campaign, store, None, classifier(), iteration), _CONFIDENCE)
     if error is None:
         return ""
     return f"{error.text} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"

@@ -130,11 +130,7 @@ class VerifyRequest(Request["ErrorFindings"]):
         from activefail.verification.error import verify
 
         with estimating(run, self.executor, self.stage) as estimator:
-            assert estimator.executor is not None
-            error = verify(
-                run.campaign, run.store, estimator.executor, estimator.classifier, estimator.iteration,
-                self.simulations, self.confidence,
-            )  # fmt: skip
+            error = verify(estimator, self.simulations, self.confidence)
         return ErrorFindings(error, run.boundary, run.summary.done, estimator.iteration)
 
 

@@ -25,6 +25,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
 from activefail.verification.confidence_bounds import StratifiedCount
 from activefail.verification.error import allotted, verify
+from activefail.verification.probability_estimator import Estimator
 
 FIRST_SEED, MOST = 4000, 600
 
@@ -124,7 +125,7 @@ def campaigns(make, options, fresh):
             )
             for n in options.simulations:
                 given = learned.campaign, learned.store, executor, learned.classifier, history.last_iteration
-                error = verify(*given, n, 0.9)
+                error = verify(Estimator(*given), n, 0.9)
                 covered[n] += error.low <= true <= error.high
                 text += f"  | {n}: {100 * error.error:.2f} ({100 * error.low:.2f} to {100 * error.high:.2f})"
             if options.stop:

@@ -13,8 +13,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.lost import where_lost
 from activefail.findings.probability import ProbabilityFindings
+from activefail.findings.summary import where_lost
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
 from activefail.loop.running import run

@@ -213,20 +213,6 @@ def remembered(folder: Path, estimate: Any) -> None:
         store.remember(estimate_of("failure", store.digest), estimate)
 
 
-NUMBERS = {"probability": 1, "low": 0, "high": 1, "confidence": 0.9, "simulations": 5, "recall_low": 0}
-
-
-@pytest.mark.parametrize(
-    "estimate", [None, [], {}, 3, {"probability": float("nan")}, NUMBERS, {**NUMBERS, "probability": [1]}]
-)
-def test_status_takes_no_estimate_that_the_command_did_not_write(ended: Path, tmp_path: Path, estimate: Any) -> None:
-    shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
-    remembered(tmp_path / "run", estimate)
-    result = activefail("status", tmp_path / "run")
-    assert (result.code, result.err) == (0, "")
-    assert "under the classifier" in result.out.splitlines()[1]
-
-
 def test_an_estimate_of_fewer_simulations_is_not_shown_after_the_campaign_went_on(ended: Path, tmp_path: Path) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
     more = str(read_status(tmp_path / "run").summary.done + 1)

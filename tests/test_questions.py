@@ -18,7 +18,7 @@ from activefail.explorer.server import page as explorer
 from activefail.findings.probability import bound_of_fresh
 from activefail.opening import open_run
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.verification.probability_estimator import stored_estimate
+from activefail.verification.probability_estimator import Estimator
 
 CAMPAIGN = """
 simulator = { python = "limit:plane", margins = ["g"] }
@@ -257,8 +257,8 @@ def test_a_question_that_cannot_be_read_is_refused(ended: Path, tmp_path: Path) 
 def test_the_bound_of_fresh_simulations_holds_for_the_rarest_allowed_draws() -> None:
     # Each of the draws hits with at least 3/20 of the probability; this is the least favourable case.
     rng, probability, missed = np.random.default_rng(0), 0.3, 0
-    for hits in rng.binomial(50, probability * 0.15, size=2000):
-        estimate = ProbabilityEstimate(0.0, 0.0, 0.0, 0.9, 0.0, 50, 0, int(hits), 0, 0, 1.0, 1.0)
+    for hits in rng.binomial(50, probability * 0.15, size=2000).tolist():
+        estimate = ProbabilityEstimate(*(0.0,) * 3, 0.9, 1.0, 1.0, 50, 0, hits, 0, 0, "", draws=50, hits=hits)
         missed += bound_of_fresh(estimate).high < probability
     assert missed / 2000 < 0.1 + 3.0 * (0.1 * 0.9 / 2000) ** 0.5
 
@@ -334,8 +334,8 @@ def _check_finds_what_fresh_simulations_may_miss(folder: Path, own: dict[str, An
     assert [name for name in sets(folder / "run") if name.startswith("check-")]
     with open_run(folder / "run") as opened:
         question, history = opened.asked(wide), opened.history
-        given = (opened.campaign, opened.store, opened.classifier, history.last_iteration, "failure", 0.9, question)
-        without, stored = stored_estimate(*given), stored_estimate(*given, checks=True)
+        estimator = Estimator(opened.campaign, opened.store, None, opened.classifier, history.last_iteration)
+        without, stored = (estimator.stored("failure", question, 0.9, checks) for checks in (False, True))
         assert without is not None
         assert stored is not None
         assert stored.check is not None

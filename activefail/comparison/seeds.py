@@ -33,9 +33,7 @@ from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 from activefail.trust import refuse_links
 from activefail.verification.stored_sets import (
-    name_of_neighbours,
-    name_of_static_set,
-    name_of_test_set,
+    set_name,
     simulated_results,
 )
 
@@ -274,16 +272,16 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
-        outcome = simulated(name_of_test_set(plan.test), X).outcome
+        outcome = simulated(set_name("test", plan.test), X).outcome
         neighbours = displaced(X, space, stream(first, "test", 1))
-        around = simulated(name_of_neighbours(plan.test), neighbours).outcome.reshape(len(X), -1)
+        around = simulated(set_name("around", plan.test), neighbours).outcome.reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
         test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}
         for arm in (arm for arm in plan.arms() if arm.sampling == STATIC):
             stage(f"simulating a static design of {arm.size}, seed {arm.seed}")
             hypercube = space.latin_hypercube(arm.size, stream(arm.seed, "static", arm.size))
-            results = simulated(name_of_static_set(arm.size, arm.seed), hypercube)
+            results = simulated(set_name("static", arm.size, f"seed{arm.seed}"), hypercube)
             static[arm] = History.of_sample(hypercube, results)
     return test, static
 

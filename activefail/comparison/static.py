@@ -23,7 +23,7 @@ from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
-from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_results, simulated_set
+from activefail.verification.stored_sets import set_name, simulated_results, simulated_set
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def compare(
     with one_thread():
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
-        test_set = simulated_set(campaign, store, executor, name_of_test_set(test_size), test)
+        test_set = simulated_set(campaign, store, executor, set_name("test", test_size), test)
         assert test_set is not None  # no stop was requested
         X_test, outcome_test = test_set
         if unanswered := test_size - len(X_test):
@@ -202,7 +202,7 @@ def compare(
                 of_several = f" ({number + 1} of {hypercubes})" if hypercubes > 1 else ""
                 stage(f"simulating and learning from {n} static simulations{of_several}")
                 hypercube = campaign.space.latin_hypercube(n, _static_stream(seed, n, number))
-                name = name_of_static_set(n, number or None)
+                name = set_name("static", n, *([f"seed{number}"] if number else []))
                 results = simulated_results(campaign, store, executor, name, hypercube)
                 assert results is not None  # no stop was requested
                 classifier = learn_from(campaign, History.of_sample(hypercube, results))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.probability_rule import least_known
 from activefail.shares import percent
-from activefail.verification.confidence_bounds import largest_unseen_share
+from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.error import confidence_of_look, least_simulations
 
 
@@ -40,7 +40,7 @@ def stop_rule_warning(settings: CampaignSettings, learns_from_margins: bool) -> 
     rule = settings.error_rule
     if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
         return ""
-    bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
+    bound = upper_bound(0, rule.simulations, confidence_of_look(rule.confidence, 1))
     return (
         f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
         f"{percent(bound)}, even if none is misclassified; an error of {100 * rule.error:g} % requires at least {least}"

@@ -22,7 +22,7 @@ from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
-from activefail.verification.probability_estimator import stored_estimate
+from activefail.verification.probability_estimator import Estimator
 
 RARE = 0.05
 """Probability below which accuracy says little: a classifier without any failure would be right in 95 %."""
@@ -83,12 +83,10 @@ def failure_findings(
     history, outcome = History.of(store.batches), campaign.settings.acquisition.main_boundary
     classifier, latent = learned.classifier, learned.classifier.latent(outcome)
     stage("reading the estimate of the probability")
-
-    def stored(question: Question) -> ProbabilityEstimate | None:
-        return stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9, question, checks=True)
-
-    estimate, asked = stored(Question.of_space(campaign.space)), None
-    if campaign.question.digest and (answer := stored(campaign.question)) is not None:
+    estimator = Estimator(campaign, store, None, classifier, history.last_iteration)
+    estimate, asked = estimator.stored(outcome, Question.of_space(campaign.space), 0.9, checks=True), None
+    answer = estimator.stored(outcome, campaign.question, 0.9, checks=True) if campaign.question.digest else None
+    if answer is not None:
         asked = ProbabilityFindings.of(campaign, history, classifier, outcome, answer, campaign.question)
     is_sought = campaign.settings.probability_rule is not None or isinstance(latent, MarginLatent)
     if estimate is None and asked is None and not is_sought:

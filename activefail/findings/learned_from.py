@@ -1,72 +1,66 @@
 """Reports what each boundary of a campaign is learned from, and why."""
 
-import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from activefail.visible import visible, words
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.campaign.settings import CampaignSettings
     from activefail.loop.history import History
     from activefail.surrogate.classifier import Classifier
 
 
-def sentence(
-    outcome: str,
-    margin: str,
-    margin_score: float,
-    outcome_score: float,
-    is_clipped: bool = False,
-    support: int = 0,
-) -> str:
-    """What a boundary is learned from, with the evidence if there is any; empty if there was no choice.
+class LearnedFrom(NamedTuple):
+    """What a boundary is learned from.
 
-    Args:
+    Attributes:
         outcome: name of the boundary's outcome.
         margin: name of the margin; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
         is_clipped: whether the margin is clipped at a largest value.
         support: number of simulations that predictions rest on; 0 if they rest on all.
+        unusable: the one margin that it would otherwise be learned from; empty if there are several, or none.
+        reason: why that margin cannot be used.
     """
-    compared = not (math.isnan(margin_score) or math.isnan(outcome_score))
-    if not margin and not compared:
-        return ""
-    evidence = (
-        f" (mean log probability of the true side of a left-out design: {margin_score:.3f} from the margin, "
-        f"{outcome_score:.3f} from outcomes)"
-    )
-    source = f"the margin {visible(margin)}" if margin else "the outcomes"
-    clipped = (
-        "; this margin is clipped at its largest value and does not show a failure behind it, so stop.probability "
-        "cannot end the campaign"
-    )
-    text = f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
-    if support:
-        text += f"; predictions rest on {support:,} simulations, half of them those with the smallest margins"
-    return text + clipped if is_clipped else text
 
+    outcome: str
+    margin: str
+    margin_score: float
+    outcome_score: float
+    is_clipped: bool = False
+    support: int = 0
+    unusable: str = ""
+    reason: str = ""
 
-def sentence_without(outcome: str, margin: str, reason: str) -> str:
-    """That a boundary is learned from the outcomes because a margin cannot be used.
-
-    Args:
-        outcome: name of the boundary's outcome.
-        margin: name of the margin.
-        reason: why it cannot be used.
-    """
-    return f"{visible(words(outcome))} from the outcomes; the margin {visible(margin)} is not used: {reason}"
-
-
-def of_rule(outcome: str, margin: str, stop: str) -> str:
-    """That the stop rule cannot end a campaign, for the end of its boundary's sentence; empty if it can.
-
-    Args:
-        outcome: name of the boundary's outcome.
-        margin: name of the margin; empty if the boundary is learned from the outcomes.
-        stop: outcome of `stop.probability`; empty without this rule.
-    """
-    return "; stop.probability cannot end the campaign" if outcome == stop and not margin else ""
+    def sentence(self, settings: "CampaignSettings") -> str:
+        """What the boundary is learned from, with the evidence if there is any; empty if there was no choice."""
+        outcome, is_compared = visible(words(self.outcome)), not np.isnan([self.margin_score, self.outcome_score]).any()
+        if self.margin or is_compared:
+            text = f"{outcome} from {f'the margin {visible(self.margin)}' if self.margin else 'the outcomes'}"
+        elif self.unusable:
+            text = f"{outcome} from the outcomes; the margin {visible(self.unusable)} is not used: {self.reason}"
+        else:
+            return ""
+        if is_compared:
+            text += (
+                f" (mean log probability of the true side of a left-out design: {self.margin_score:.3f} from the "
+                f"margin, {self.outcome_score:.3f} from outcomes)"
+            )
+        if self.support:
+            text += f"; predictions rest on {self.support:,} simulations, half of them those with the smallest margins"
+        if self.is_clipped:
+            text += (
+                "; this margin is clipped at its largest value and does not show a failure behind it, so "
+                "stop.probability cannot end the campaign"
+            )
+        rule = settings.probability_rule
+        if rule is not None and self.outcome == rule.probability and not self.margin:
+            text += "; stop.probability cannot end the campaign"
+        return text
 
 
 def candidate_of(margins: Sequence[str], learns: str) -> str:
@@ -81,6 +75,29 @@ def candidate_of(margins: Sequence[str], learns: str) -> str:
     return learns if learns in margins else ""
 
 
+def saved_choices(
+    state: Mapping[str, Any], outcomes: Sequence[str], margins: Sequence[str], learns: str
+) -> list[LearnedFrom]:
+    """What the boundaries are learned from, by a saved state; empty if it says nothing.
+
+    Args:
+        state: arrays by name.
+        outcomes, margins: names of the simulator's.
+        learns: `classifier.learns`.
+    """
+    reason = "it does not show on which side of the boundary a design lies"
+    rows = []
+    for outcome in outcomes[1:]:
+        if f"{outcome}/choice" not in state:
+            return []
+        margin, _, from_margin, from_outcomes, _ = state[f"{outcome}/choice"].tolist()
+        name, clipped = "" if margin < 0 else margins[int(margin)], f"{outcome}/clipped" in state
+        support = int(state.get(f"{outcome}/support", 0))
+        unusable = candidate_of(margins, learns)
+        rows.append(LearnedFrom(outcome, name, from_margin, from_outcomes, clipped, support, unusable, reason))
+    return rows
+
+
 def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
     """A sentence for each boundary that is learned from a margin, or not although there is one.
 
@@ -89,22 +106,22 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     from activefail.surrogate.margin import MarginLatent
     from activefail.surrogate.margin_choice import OUTCOMES, usable
 
-    known, names = history.training, campaign.simulator.margins
-    learns = campaign.settings.classifier.learns
-    sentences = []
-    for severity, (choice, latent) in enumerate(zip(classifier.choices, classifier.latents, strict=False), start=1):
-        outcome = campaign.simulator.outcomes[severity]
-        margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        trained = latent.trained if isinstance(latent, MarginLatent) else None
-        clipped, support = (trained.is_clipped, trained.size_of_support) if trained else (False, 0)
-        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped, support)
-        candidate = candidate_of(names, learns)
-        if not text and candidate:
+    known, (_, *outcomes), names = history.training, campaign.simulator.outcomes, campaign.simulator.margins
+    candidate, sentences = candidate_of(names, campaign.settings.classifier.learns), []
+    for severity, (outcome, choice) in enumerate(zip(outcomes, classifier.choices, strict=False), start=1):
+        latent, reason = classifier.latent(outcome), ""
+        if candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)
             reason = usable(margins[:, names.index(candidate)], known.outcome >= severity)
-            if reason:
-                text = sentence_without(outcome, candidate, reason)
-        if text:
-            rule = campaign.settings.probability_rule
-            sentences.append(text + of_rule(outcome, margin, rule.probability if rule else ""))
-    return sentences
+        row = LearnedFrom(
+            outcome,
+            "" if choice.margin == OUTCOMES else names[choice.margin],
+            choice.margin_score,
+            choice.outcome_score,
+            isinstance(latent, MarginLatent) and latent.trained.is_clipped,
+            latent.trained.size_of_support if isinstance(latent, MarginLatent) else 0,
+            candidate if reason else "",
+            reason,
+        )
+        sentences.append(row.sentence(campaign.settings))
+    return list(filter(None, sentences))

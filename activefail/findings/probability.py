@@ -17,8 +17,7 @@ from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES
-from activefail.verification.confidence_bounds import largest_unseen_share
-from activefail.verification.probability_estimator import EstimateOfRows
+from activefail.verification.confidence_bounds import upper_bound
 from activefail.visible import or_worse, visible
 
 BOUND_CONFIDENCE = 0.9
@@ -27,11 +26,6 @@ BOUND_CONFIDENCE = 0.9
 
 _DEVIATING = 2.0
 """Deviation of margins above which a note reports it: the interval allows for this much in any case."""
-
-
-def upper_bound(hits: int, draws: int, confidence: float) -> float:
-    """One-sided upper bound on a probability from independent draws [ClopperPearson1934]; 1 without draws."""
-    return largest_unseen_share(draws - hits, confidence, hits)
 
 
 def rounded_up(share: float) -> str:
@@ -79,12 +73,9 @@ def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
 
     A fresh simulation is drawn beyond the boundary at least 1/`LARGEST_RATIO` times as often as the probability says.
     """
-    hits, draws = estimate.beyond + estimate.unanswered, estimate.simulations
-    if isinstance(estimate, EstimateOfRows):
-        if not estimate.draws:
-            return Bound(estimate.high, estimate.simulations, "fresh simulations")
-        hits, draws = estimate.hits, estimate.draws
-    high = min(1.0, LARGEST_RATIO * upper_bound(hits, draws, BOUND_CONFIDENCE))
+    high = estimate.high
+    if estimate.draws:
+        high = min(1.0, LARGEST_RATIO * upper_bound(estimate.hits, estimate.draws, BOUND_CONFIDENCE))
     return Bound(high, estimate.simulations, "fresh simulations")
 
 
@@ -136,18 +127,18 @@ class ProbabilityFindings:
     ) -> Self:
         """The findings of a campaign with this estimate."""
         severity = campaign.simulator.outcomes.index(outcome)
-        known = history.training
-        beyond = known.outcome >= severity
+        beyond = history.training.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
-        integral = question.integral(BoundariesOf(classifier, campaign.features), campaign.space)
-
-        by_classifier = integral.of(severity - 1).probability
+        model = question.integral(BoundariesOf(classifier, campaign.features), campaign.space).of(severity - 1)
 
         def share(lost: Lost) -> float:
             boundary = BoundariesOf(classifier, campaign.features, lost, outcome)
             return question.integral(boundary, campaign.space).of(0).probability
 
+        lost = None
+        if classifier.unknown is not None:
+            lost = min(model.probability, share("none")), max(model.probability, share("all"))
         return cls(
             outcome=outcome,
             outcomes=tuple(campaign.simulator.outcomes),
@@ -159,11 +150,9 @@ class ProbabilityFindings:
             outside=question.space.outside,
             question=question.title if question.digest else "",
             outside_space=question.outside(campaign.space) if question.digest else None,
-            model=integral.of(severity - 1),
+            model=model,
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
-            lost=None
-            if classifier.unknown is None
-            else (min(by_classifier, share("none")), max(by_classifier, share("all"))),
+            lost=lost,
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 
@@ -232,7 +221,7 @@ class ProbabilityFindings:
     @property
     def assumptions(self) -> list[str]:
         """What the estimate assumes, and what contradicts it, as sentences."""
-        estimate, name = self.estimate, words(self.outcome)
+        estimate, name, check = self.estimate, words(self.outcome), self.estimate.check
         sentences = []
         if self.outside_space is not None and self.outside_space.advice:
             sentences.append(self.outside_space.advice)
@@ -247,10 +236,21 @@ class ProbabilityFindings:
                 f"Fresh simulations ({estimate.surprising} of {estimate.simulations}) contradict the classifier "
                 "where it was sure. It has missed something: continue the campaign before you use this estimate."
             )
-        sentences += self._of_check
         deviation, where = estimate.deviation, "fresh simulations"
-        if estimate.check is not None and estimate.check.deviation > deviation:
-            deviation, where = estimate.check.deviation, "mode check"
+        if check is not None:
+            if check.contradictions:
+                sentences.append(
+                    f"The mode check ({check.contradictions} of {check.simulations} designs) contradicts the "
+                    f"classifier: far from all other simulations, {name} begins elsewhere than it predicts. Do not "
+                    "rely on this estimate. Begin a campaign whose [space] is the question's."
+                )
+            if not check.is_whole:
+                sentences.append(
+                    f"{check.unanswered} of the {check.simulations} designs of the mode check gave no outcome, so "
+                    f"{name} may be hidden there."
+                )
+            if check.deviation > deviation:
+                deviation, where = check.deviation, "mode check"
         if deviation > _DEVIATING:
             sentences.append(
                 f"The margins of the {where} lie {deviation:.2g} times as far from the classifier's as its standard "
@@ -293,26 +293,6 @@ class ProbabilityFindings:
                 f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are excluded."
             )
         return [*sentences, *self.of_question]
-
-    @property
-    def _of_check(self) -> list[str]:
-        """What the mode check of a question contradicts, or why it says little, as sentences."""
-        check, name = self.estimate.check, words(self.outcome)
-        if check is None:
-            return []
-        sentences = []
-        if check.contradictions:
-            sentences.append(
-                f"The mode check ({check.contradictions} of {check.simulations} designs) contradicts the classifier: "
-                f"far from all other simulations, {name} begins elsewhere than it predicts. Do not rely on "
-                "this estimate. Begin a campaign whose [space] is the question's."
-            )
-        if not check.is_whole:
-            sentences.append(
-                f"{check.unanswered} of the {check.simulations} designs of the mode check gave no outcome, so {name} "
-                "may be hidden there."
-            )
-        return sentences
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""

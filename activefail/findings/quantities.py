@@ -1,6 +1,7 @@
 """Symbols, units and meanings of a campaign's variables and features, for axes and tables."""
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -83,24 +84,9 @@ def quantity(name: str, unit: str | None = None) -> Quantity:
 
 
 _GREEK = {
-    "alpha": "α",
-    "beta": "β",
-    "gamma": "γ",
-    "delta": "δ",
-    "epsilon": "ε",
-    "zeta": "ζ",
-    "eta": "η",
-    "theta": "θ",
-    "kappa": "κ",
-    "mu": "μ",
-    "nu": "ν",
-    "xi": "ξ",
-    "rho": "ρ",
-    "sigma": "σ",
-    "tau": "τ",
-    "phi": "φ",
-    "psi": "ψ",
-    "omega": "ω",
+    name: unicodedata.lookup(f"GREEK SMALL LETTER {name.upper()}")
+    for names in ("alpha beta gamma delta epsilon zeta eta theta kappa", "mu nu xi rho sigma tau phi psi omega")
+    for name in names.split()
 }
 _SYMBOL = re.compile(rf"(?P<stem>[A-Za-z]|{'|'.join(_GREEK)})(_(?P<below>[A-Za-z0-9]+))?")
 

@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from activefail.campaign.known_code import known_code
+from activefail.campaign.sections import Variable
 from activefail.campaign.settings import read_settings
-from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
-from activefail.findings.summary import Summary, features_in_words
+from activefail.findings.learned_from import LearnedFrom, saved_choices
+from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
-from activefail.verification.stored_sets import first_part, name_of_look
+from activefail.verification.stored_sets import is_stored, set_name
 from activefail.verification.unseen import unseen_outcomes
 from activefail.visible import or_worse, quoted, visible
 
@@ -31,6 +32,9 @@ class Status:
     Attributes:
         folder: the run folder.
         summary: of its campaign.
+        margins: names of the simulator's margins.
+        corrected: number of corrections.
+        lost: where runs gave no result; empty if all gave one.
         warnings: of its record; empty if it is intact.
         state: saved after the last iteration; empty if none was.
         estimates: of probabilities by outcome, from fresh simulations of this record.
@@ -39,6 +43,9 @@ class Status:
 
     folder: Path
     summary: Summary
+    margins: tuple[str, ...]
+    corrected: int
+    lost: str
     warnings: tuple[str, ...]
     state: Mapping[str, Any]
     estimates: Mapping[str, Mapping[str, Any]]
@@ -47,23 +54,32 @@ class Status:
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts, the campaign's description first, then what is known of a probability."""
-        title, learned = visible(self.summary.settings.description or self.folder.name), self.learned
-        lines = [line for line in self.summary.lines if line[0] != "learner"]
-        return [("campaign", title), *self.estimate, lines[0], ("learner", self._learner), *lines[1:], *learned]
+        summary, settings = self.summary, self.summary.settings
+        variables = sum(isinstance(one, Variable) for one in settings.space.values())
+        done = f"{summary.done} of {settings.sampling.budget} simulations"
+        if summary.done > settings.sampling.budget:
+            done = f"{summary.done} simulations, {settings.sampling.budget} planned"
+        names = (*summary.outcomes, "numerical failures")
+        lines = [
+            ("campaign", visible(settings.description or self.folder.name)),
+            *self.estimate,
+            ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
+            ("learner", self._learner),
+            ("done", f"{done}, iteration {summary.iteration}"),
+        ]
+        for title, counts in summary.origins.items():
+            if title != "given" or counts.any():
+                lines.append((title, ", ".join(f"{n} {name}" for n, name in zip(counts, names, strict=True))))
+        if self.corrected:
+            lines.append(("corrected", f"{self.corrected} correction{'' if self.corrected == 1 else 's'}"))
+        return [*lines, *([("in flight", flight)] if (flight := summary.flight_in_words) else []), *self.learned]
 
     def as_json(self) -> dict[str, Any]:
         """The state as JSON values; `docs/reference/json.md` describes the keys."""
         summary = self.summary
         names = (*summary.outcomes, NUMERICAL)
-        counts = {
-            title: dict(zip(names, numbers.tolist(), strict=True))
-            for title, numbers in (
-                ("all", summary.counts),
-                ("initial", summary.initial),
-                ("chosen", summary.chosen),
-                ("given", summary.given),
-            )
-        }
+        origins = {"all": summary.counts} | summary.origins
+        counts = {title: dict(zip(names, of.tolist(), strict=True)) for title, of in origins.items()}
         return {
             "description": visible(summary.settings.description),
             "seed": summary.settings.seed,
@@ -73,114 +89,80 @@ class Status:
             "counts": counts,
             "never_seen": list(unseen_outcomes(summary.outcomes, summary.counts)),
             "in_flight": list(summary.in_flight),
-            "corrected": summary.corrected,
+            "corrected": self.corrected,
             "stop_rule_met": self._rule_is_met,
             "estimates": {
                 outcome: {name: one for name, one in numbers.items() if isinstance(one, str | int | float | None)}
                 for outcome, numbers in self.estimates.items()
             },
             "warnings": list(self.warnings),
-            "lost": self.summary.lost,
+            "lost": self.lost,
             "continue": [text for _, text in self.continuation],
         }
 
     @cached_property
-    def _choices(self) -> list[tuple[str, str, float, float, bool, int]]:
-        """For each boundary the arguments of `sentence`."""
-        rows = []
-        for outcome in self.summary.outcomes[1:]:
-            try:
-                margin, _, from_margin, from_outcomes, _ = self.state[f"{outcome}/choice"].tolist()
-                name = "" if margin < 0 else self.summary.margins[int(margin)]
-                is_clipped = f"{outcome}/clipped" in self.state
-                support = int(self.state.get(f"{outcome}/support", 0))
-                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped, support))
-            except (LookupError, ValueError, TypeError, OverflowError):
-                return []
-        return rows
+    def _choices(self) -> list[LearnedFrom]:
+        summary = self.summary
+        return saved_choices(self.state, summary.outcomes, self.margins, summary.settings.classifier.learns)
 
     @property
     def _learner(self) -> str:
         """What is learned and where, in words."""
-        line = dict(self.summary.lines)["learner"]
-        margins = [margin for _, margin, *_ in self._choices]
-        if not any(margins):
-            return line
         settings = self.summary.settings
+        targets = " and ".join(
+            f"the {visible(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
+            for name, share in settings.acquisition.boundaries.items()
+        )
+        features = f"on {features_in_words(settings)} features"
+        line = f"{settings.classifier.kernel} {features}, {settings.acquisition.criterion} at {targets}"
+        margins = [one.margin for one in self._choices]
         names = " and ".join(dict.fromkeys(f"the margin {visible(margin)}" for margin in margins if margin))
-        if all(margins):
-            return f"regression of {names} on {features_in_words(settings)} features"
-        return f"regression of {names}, and {line}"
+        if not names:
+            return line
+        return f"regression of {names} {features}" if all(margins) else f"regression of {names}, and {line}"
 
     @property
     def learned(self) -> list[tuple[str, str]]:
         """Titles and texts of where runs are lost, of what each boundary is learned from, and of its stop rule."""
-        settings, lines = self.summary.settings, [("lost", self.summary.lost)] if self.summary.lost else []
-        rule = settings.probability_rule
-        candidate = candidate_of(self.summary.margins, settings.classifier.learns)
-        for choice in self._choices:
-            outcome, margin, *_ = choice
-            text = sentence(*choice)
-            if not text and candidate:
-                text = sentence_without(
-                    outcome, candidate, "it does not show on which side of the boundary a design lies"
-                )
-            if text:
-                lines.append(("learned", text + of_rule(outcome, margin, visible(rule.probability) if rule else "")))
-        if self._rule_is_met:
-            lines.append(("stop rule", "met"))
-        return lines
+        lines = [("lost", self.lost)]
+        lines += [("learned", one.sentence(self.summary.settings)) for one in self._choices]
+        lines += [("stop rule", "met" if self._rule_is_met else "")]
+        return [(title, text) for title, text in lines if text]
 
     @property
     def _rule_is_met(self) -> bool:
-        try:
-            return bool(int(self.state["stop/known"]))
-        except (LookupError, ValueError, TypeError, OverflowError):
-            return False
+        return bool(self.state.get("stop/known", 0))
 
     @property
     def estimate(self) -> list[tuple[str, str]]:
         """Titles and texts of the probability: from fresh simulations if there are any, else by the classifier."""
-        return self._from_fresh_simulations or self._by_classifier
-
-    @property
-    def _from_fresh_simulations(self) -> list[tuple[str, str]]:
-        try:
-            lines = []
-            for outcome, numbers in self.estimates.items():
-                probability, low, high, confidence, recall_low = (
-                    float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
-                )
-                name, simulations = visible(or_worse(outcome, self.summary.outcomes)), int(numbers["simulations"])
-                interval = f"{100.0 * confidence:g} % interval {low:.3g} to {high:.3g}"
-                if numbers["extrapolated"]:
-                    interval = f"at most {high:.2g} without a model, because no simulation ended in {name}"
-                under = f" under {visible(question)}" if (question := numbers.get("question")) else ""
-                text = (
-                    f"probability of {name}{under} {probability:.3g}, {interval}, from {simulations} fresh "
-                    f"simulations; recall at least {percent(recall_low)}"
-                )
-                if int(numbers["contradictions_where_sure"]):
-                    text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
-                if int((numbers.get("check") or {}).get("contradictions", 0)):
-                    text += "; its mode check contradicts the classifier: begin a campaign under the question"
-                lines.append(("estimate", text))
-            return lines
-        except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):
-            # None yet, or not written by `activefail probability`.
+        if self.estimates:
+            return [("estimate", self._estimated(outcome, of)) for outcome, of in self.estimates.items()]
+        if not len(looks := self.state.get("stop/looks", ())):
             return []
-
-    @property
-    def _by_classifier(self) -> list[tuple[str, str]]:
-        try:
-            _, probability, sd, error = self.state["stop/looks"][-1].tolist()
-            low, high = lognormal_interval(probability, math.hypot(sd, error), REACH)
-        except (LookupError, ValueError, TypeError, ArithmeticError):
-            return []
+        _, probability, sd, error = looks[-1].tolist()
+        low, high = lognormal_interval(probability, math.hypot(sd, error), REACH)
         seen = all(self.summary.counts[:-1])
         interval = f"95 % interval {low:.2g} to {high:.2g}" if seen else "without an interval"
         text = f"probability {probability:.3g} under the classifier, {interval}; "
         return [("estimate", text + "`activefail probability` estimates it from fresh simulations")]
+
+    def _estimated(self, outcome: str, of: Mapping[str, Any]) -> str:
+        """An estimate of an outcome's probability in words, from its numbers in JSON."""
+        name = visible(or_worse(outcome, self.summary.outcomes))
+        interval = f"{100.0 * of['confidence']:g} % interval {of['low']:.3g} to {of['high']:.3g}"
+        if of["extrapolated"]:
+            interval = f"at most {of['high']:.2g} without a model, because no simulation ended in {name}"
+        under = f" under {visible(of['question'])}" if of["question"] else ""
+        text = (
+            f"probability of {name}{under} {of['probability']:.3g}, {interval}, from {of['simulations']} fresh "
+            f"simulations; recall at least {percent(of['recall_low'])}"
+        )
+        if of["contradictions_where_sure"]:
+            text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
+        if of["check"] and of["check"]["contradictions"]:
+            text += "; its mode check contradicts the classifier: begin a campaign under the question"
+        return text
 
     @property
     def _asking(self) -> list[tuple[str, str]]:
@@ -200,22 +182,21 @@ class Status:
             return self._asking
         if self.summary.done + self.summary.elsewhere >= settings.sampling.budget:
             return [("continue", text) for text in self._telling]
-        known = known_code(self.folder) if settings.needs_code else None
+        known, ignoring = known_code(self.folder) if settings.needs_code else None, " --ignore-stop"
         if settings.needs_code and known is None:
             # Not a command that could be pasted: nobody has named the folder yet.
             command = "with `activefail resume`; name the folder of the custom code with --code"
-            ignoring = f"{command}, and add --ignore-stop"
+            ignoring = ", and add --ignore-stop"
         else:
             command = f"activefail resume {quoted(self.folder)}"
-            if known is not None and known.is_changed:
-                command += f" --code {quoted(known.folder)}"
-            ignoring = f"{command} --ignore-stop"
-        lines = [("continue", ignoring if self._rule_is_met else command)]
+        lines = []
         if known is not None and known.is_changed:
+            command += f" --code {quoted(known.folder)}"
             lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
         if self.has_looked:
-            lines.append(("", f"{ignoring}, if the stop rule ended the campaign"))
-        return [*lines, *(("", text) for text in self._telling)]
+            lines.append(("", f"{command}{ignoring}, if the stop rule ended the campaign"))
+        first = ("continue", command + (ignoring if self._rule_is_met else ""))
+        return [first, *lines, *(("", text) for text in self._telling)]
 
     @property
     def _telling(self) -> list[str]:
@@ -240,11 +221,21 @@ def read_status(folder: Path) -> Status:
     settings = read_settings(folder / SETTINGS)
     with FolderStore.open(folder, write=False) as store:
         history = History.of(store.batches)
-        summary = Summary.of(settings, store.schema, history, store.asked, len(store.corrections.place))
+        summary, schema = Summary.of(settings, store.schema, history, store.asked), store.schema
         saved, iteration = store.latest_state(), summary.iteration
         state = saved[1] if saved is not None and saved[0] == iteration else {}
-        recalled = {one: store.recall(estimate_of(one, store.digest)) for one in store.schema.outcomes[1:]}
+        recalled = {one: store.recall(estimate_of(one, store.digest)) for one in schema.outcomes[1:]}
         estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
         rule = settings.error_rule
-        looked = rule is not None and first_part(name_of_look(iteration, rule.simulations)) in store.set_names()
-        return Status(folder, summary, store.new_warnings(), state, estimates, looked)
+        looked = rule is not None and is_stored(store, set_name("look", iteration, rule.simulations))
+        return Status(
+            folder,
+            summary,
+            schema.margins,
+            len(store.corrections.place),
+            where_lost(schema.variables, history.designs, ~history.answered),
+            store.new_warnings(),
+            state,
+            estimates,
+            looked,
+        )

@@ -12,19 +12,25 @@ from activefail.campaign.sections import (
     ExpressionFeaturesSettings,
     PythonFeaturesSettings,
     PythonSimulatorSettings,
-    Variable,
 )
 from activefail.campaign.settings import CampaignSettings
-from activefail.findings.lost import where_lost
 from activefail.loop.history import History
 from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, Schema
 from activefail.shares import percent
-from activefail.verification.unseen import unseen_outcomes, unseen_warning
+from activefail.space import Array
+from activefail.verification.confidence_bounds import upper_bound
+from activefail.verification.unseen import unseen_outcomes
 from activefail.visible import visible
 
 _IDS_SHOWN = 20
 """Most ids of designs in flight that `status` lists."""
+
+_CONFIDENCE = 0.9
+"""One-sided confidence of the bound on an unseen outcome's probability."""
+
+_TELLING = 3.0
+"""Least difference between the mean ranks of lost and other runs, in standard errors, that is no chance."""
 
 
 def simulator_in_words(settings: CampaignSettings) -> str:
@@ -48,8 +54,31 @@ def features_in_words(settings: CampaignSettings) -> str:
     return visible(", ".join((["variables"] if included else []) + names))
 
 
-def _corrections_in_words(number: int) -> str:
-    return f"{number} correction{'' if number == 1 else 's'}"
+def where_lost(names: Sequence[str], designs: Array, lost: NDArray[np.bool_]) -> str:
+    """How many runs gave no result, and which variable tells them best from the others; empty if all gave one.
+
+    Args:
+        names: of the variables.
+        designs: (n, d) of the simulations.
+        lost: (n,) which gave no result.
+    """
+    if not lost.any():
+        return ""
+    text = f"{int(lost.sum())} of {len(lost)} runs gave no result"
+    if lost.all():
+        return text
+    ranks = np.argsort(np.argsort(designs, axis=0), axis=0) / max(1, len(lost) - 1)
+    apart = ranks[lost].mean(axis=0) - ranks[~lost].mean(axis=0)
+    column = int(np.argmax(np.abs(apart)))
+    # A rank is uniform, with a variance of 1/12.
+    error = np.sqrt((1.0 / lost.sum() + 1.0 / (~lost).sum()) / 12.0)
+    if abs(apart[column]) < _TELLING * error:
+        return f"{text}; no single variable shows where; simulator.lost says what that means"
+    of_lost, of_others = (float(np.median(designs[rows, column])) for rows in (lost, ~lost))
+    return (
+        f"{text}, most of them at {'low' if apart[column] < 0.0 else 'high'} {visible(names[column])} (median "
+        f"{of_lost:.3g}, of the others {of_others:.3g}); simulator.lost says what that means"
+    )
 
 
 @dataclass(frozen=True)
@@ -64,9 +93,6 @@ class Summary:
             campaign chose, and those that it did not ask for, by outcome, numerical failures last.
         in_flight: ids of the designs in flight.
         elsewhere: how many of them are simulated elsewhere.
-        margins: names of the margins.
-        corrected: number of corrections.
-        lost: where runs gave no result; empty if all gave one.
     """
 
     settings: CampaignSettings
@@ -75,11 +101,8 @@ class Summary:
     initial: NDArray[np.int64]
     chosen: NDArray[np.int64]
     given: NDArray[np.int64]
-    in_flight: tuple[int, ...] = ()
-    margins: tuple[str, ...] = ()
-    corrected: int = 0
-    lost: str = ""
-    elsewhere: int = 0
+    in_flight: tuple[int, ...]
+    elsewhere: int
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -92,38 +115,9 @@ class Summary:
         return int((self.initial + self.chosen).sum())
 
     @property
-    def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts that `activefail status` prints."""
-        settings = self.settings
-        targets = " and ".join(
-            f"the {visible(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
-            for name, share in settings.acquisition.boundaries.items()
-        )
-        done = f"{self.done} of {settings.sampling.budget} simulations"
-        if self.done > settings.sampling.budget:
-            done = f"{self.done} simulations, {settings.sampling.budget} planned"
-        names = (*self.outcomes, "numerical failures")
-        variables = sum(isinstance(one, Variable) for one in settings.space.values())
-        return [
-            ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
-            (
-                "learner",
-                f"{settings.classifier.kernel} on {features_in_words(settings)} features, "
-                f"{settings.acquisition.criterion} at {targets}",
-            ),
-            ("done", f"{done}, iteration {self.iteration}"),
-            *(
-                (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
-                for title, counts in self._origins
-            ),
-            *([("corrected", _corrections_in_words(self.corrected))] if self.corrected else []),
-            *([("in flight", self.flight_in_words)] if self.in_flight else []),
-        ]
-
-    @property
-    def _origins(self) -> list[tuple[str, NDArray[np.int64]]]:
-        given = [("given", self.given)] if self.given.any() else []
-        return [("initial", self.initial), ("chosen", self.chosen), *given, ("all", self.counts)]
+    def origins(self) -> dict[str, NDArray[np.int64]]:
+        """The simulations by origin, and all."""
+        return {"initial": self.initial, "chosen": self.chosen, "given": self.given, "all": self.counts}
 
     @property
     def flight_in_words(self) -> str:
@@ -136,40 +130,42 @@ class Summary:
     @property
     def unseen_warning(self) -> str:
         """The warning about outcomes without a simulation; empty if there are none, or no simulations yet."""
-        if not self.counts.any():
-            return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
+        if not (unseen and self.counts.any()):
+            return ""
+        # A numerical failure of the initial design may hide an unseen outcome.
         answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])
-        return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
+        bound = percent(upper_bound(unanswered, answered + unanswered, _CONFIDENCE))
+        hidden = f" and {unanswered} numerical failure{'' if unanswered == 1 else 's'}" if unanswered else ""
+        names, is_one = " or ".join(unseen), len(unseen) == 1
+        return (
+            f"None of the campaign's {self.counts[:-1].sum()} simulations ended in {names}. "
+            f"{'Its probability' if is_one else 'The probability of each'} over the design space may be as large as "
+            f"{bound} ({100 * _CONFIDENCE:g} % confidence, from {answered} initial designs without "
+            f"{'it' if is_one else 'them'}{hidden}). Until one of them does, no classifier can know where {names} "
+            "begins."
+        )
 
     @classmethod
-    def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked, corrected: int = 0) -> Self:
+    def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked) -> Self:
         """The summary of a campaign's simulations and the designs that were handed out.
 
         Args:
             settings: of the campaign.
             schema, history, asked: of the record.
-            corrected: number of its corrections.
         """
         flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
         initial, given = history.initial, history.origin == GIVEN
         return cls(
             settings,
-            _shown(schema.outcomes),
+            tuple(map(visible, schema.outcomes)),
             history.last_iteration,
             _counts(history[initial], outcomes),
             _counts(history[~initial & ~given], outcomes),
             _counts(history[given], outcomes),
             tuple(flight.id.tolist()),
-            schema.margins,
-            corrected,
-            where_lost(schema.variables, history.designs, ~history.answered),
             int((flight.loop == 0).sum()),
         )
-
-
-def _shown(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(map(visible, names))
 
 
 def _counts(history: History, outcomes: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from activefail.bearing import outcome as o
 from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
-from activefail.csv_table import Check, DesignTable, Source, Target, rereadable, writing
+from activefail.csv_table import Check, DesignTable, Source, Table, Target, rereadable, writing
 from activefail.errors import InputError
 from activefail.files import replacing, target_of, writing_to
 from activefail.loop.history import History
@@ -115,12 +115,10 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
     Raises:
         InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
     """
-    from activefail.csv_table import Table
-
     space = campaign.space
     has_order = isinstance(X, Sequence) and not isinstance(X, str) and bool(X) and all(map(_is_plain, X))
     if not (has_order or isinstance(X, np.ndarray)):
-        return Table.of_python(X).designs(space)
+        return Table.of_python(X).numbers(space.names)
     rule = f"X: must be a table or an (n, {space.dimension}) array of numbers with the columns {', '.join(space.names)}"
     try:
         designs = np.array(X, dtype=np.float64)
@@ -144,10 +142,8 @@ def check_bearing(model: Model) -> Check:
 
     def check(design: Array) -> str | None:
         for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
-            if value <= 0.0:
-                return f"column {name}: `{name} > 0` must hold, got {value:g}"
-            if value > LARGEST:
-                return f"column {name}: `{name} <= {LARGEST:g}` must hold, got {value:g}"
+            if not 0.0 < value <= LARGEST:
+                return f"column {name}: `0 < {name} <= {LARGEST:g}` must hold, got {value:g}"
         try:
             Bearing.from_row(design.tolist(), model.slider_diameter)
             Pulse.from_table(*design[7:].tolist())

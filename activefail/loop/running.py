@@ -29,6 +29,7 @@ from activefail.simulators.interface import Results, cause_name
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import verify_by_rule
+from activefail.verification.probability_estimator import Estimator
 from activefail.verification.stored_sets import VALIDATION, first_fault_text, simulated_set
 
 _WAIT = 0.5
@@ -166,9 +167,8 @@ class _Loop:
         # A campaign with an unseen outcome never meets its stop rule, so verifying it would waste simulations.
         if self.use_stop_rule and looks_now and not progress.unseen:
             self.observer.stage("verifying")
-            error, stop_rule_met = verify_by_rule(
-                self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
-            )
+            estimator = Estimator(self.campaign, self.store, self.executor, classifier, progress.iteration)
+            error, stop_rule_met = verify_by_rule(estimator, self.observer.stop)
         if validation is not None:
             share = accuracy(classifier, self.campaign.severity, *validation)
             progress = replace(progress, accuracy=share, recall=recall(classifier, *validation))

@@ -9,10 +9,11 @@ fresh simulations lie farther from their predictions than the latent says, this 
 campaign's mode check comes before.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
 from activefail.reliability.hidden import ModeCheck
-from activefail.reliability.integral import Boundaries, Standardised, integrate
+from activefail.reliability.integral import Boundaries, Integral, OfBoundary, Standardised, integrate
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.margin import MarginLatent
 from activefail.weighted import WeightedRows
@@ -57,20 +58,6 @@ _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
 
 
-class Baseline(NamedTuple):
-    """The share of a distribution for which a classifier predicts an outcome, which fresh simulations correct.
-
-    It counts predictions. `integral.integrate` gives the classifier's probability, the mean of its probabilities.
-
-    Attributes:
-        probability: the share.
-        standard_error: of its integration.
-    """
-
-    probability: float
-    standard_error: float
-
-
 class Doubt(NamedTuple):
     """How wrong the classifier may be on one side of the boundary, by its own doubt.
 
@@ -84,101 +71,6 @@ class Doubt(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Fresh designs that correct a classifier's failure probability.
-
-    Attributes:
-        designs: (m, d).
-        ratio: (m,) density of the design measure over that of the draws.
-        predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
-        standardised: (m,) the latent's mean/sd.
-        probability: the baseline, the share of predictions beyond.
-        standard_error: of its integration.
-        missed, false: of the designs that the classifier puts short of the boundary, and beyond it.
-        doubts: both if the latent's standard deviations are larger by a factor; None if no doubt is left.
-        deviation: of the margins of the fresh simulations from their predictions (see `deviation_of_margins`).
-        ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
-            where all are; None if none is probably lost.
-    """
-
-    designs: Array
-    ratio: Array
-    predicted: NDArray[np.bool_]
-    standardised: Array
-    probability: float
-    standard_error: float
-    missed: Doubt
-    false: Doubt
-    doubts: Callable[[float], tuple[Doubt, Doubt]] | None = None
-    deviation: float = 1.0
-    ends: "tuple[Plan, Plan] | None" = None
-
-    def deviating(self, deviation: float) -> "Plan":
-        """The plan after the fresh margins showed how far they lie from their predictions.
-
-        If they lie farther than the latent's standard deviations say, the classifier's doubt grows in proportion.
-        """
-        if self.doubts is None or not deviation > 1.0:
-            return self
-        missed, false = self.doubts(deviation)
-        ends = None if self.ends is None else (self.ends[0].deviating(deviation), self.ends[1].deviating(deviation))
-        return replace(self, missed=missed, false=false, deviation=deviation, ends=ends)
-
-    @property
-    def surest(self) -> tuple[int, float]:
-        """Simulations that would meet failure where the classifier is sure, and the share that each may stand for.
-
-        A part of them is drawn without regard to the classifier's doubt.
-        """
-        return len(self.designs), 1.0 / UNIFORM
-
-    def estimate(
-        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
-    ) -> "ProbabilityEstimate":
-        """The estimate from the outcomes of the simulations.
-
-        Args:
-            beyond: (m,) whether each outcome is beyond the boundary.
-            answered: (m,) whether each simulation gave an outcome; the interval covers both outcomes of the others.
-            confidence: of the interval.
-        """
-        middle, _, _ = _interval(self, np.where(answered, beyond, self.predicted), confidence)
-        if_none, if_all = self.ends or (self, self)
-        _, low, _ = _interval(if_none, beyond & answered, confidence)
-        _, _, high = _interval(if_all, beyond | ~answered, confidence)
-        wrong = answered & (beyond != self.predicted)
-        recall, recall_low = _recall(self, beyond, answered, confidence)
-        return ProbabilityEstimate(
-            probability=min(1.0, max(0.0, middle)),
-            low=min(1.0, max(0.0, min(low, middle))),
-            # No design is drawn farther out; all of them may fail.
-            high=min(1.0, max(0.0, high, middle) + REACH),
-            confidence=confidence,
-            simulations=len(beyond),
-            unanswered=int((~answered).sum()),
-            beyond=int((beyond & answered).sum()),
-            wrong=int(wrong.sum()),
-            surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
-            recall=recall,
-            recall_low=recall_low,
-            deviation=self.deviation,
-        )
-
-    def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
-        """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
-        likely = ndtr(self.standardised)
-        widths = []
-        for _ in range(_IMAGINED):
-            beyond = rng.random(len(likely)) < likely
-            middle, _, high = _interval(self, beyond, confidence)
-            if self.ends is not None:
-                # Where a run is probably lost, it counts as beyond.
-                _, _, high = _interval(self.ends[1], beyond | self.ends[1].predicted, confidence)
-            widths.append(high - middle)
-        return float(np.mean(widths))
-
-
-@dataclass(frozen=True)
 class ProbabilityEstimate:
     """A failure probability with its interval.
 
@@ -187,15 +79,18 @@ class ProbabilityEstimate:
         low, high: two-sided interval, with equal tails; `high` includes the probability `space.REACH` that no design
             reaches.
         confidence: of the interval.
-        simulations: fresh simulations, including numerical failures.
+        recall: share of the failure probability that the classifier puts beyond the boundary; NaN without failure.
+        recall_low: lower end of its one-sided interval, with `confidence`.
+        simulations: different fresh simulations, including numerical failures.
         unanswered: numerical failures among them. The interval covers both outcomes that they may have had.
         beyond: how many of the fresh simulations ended beyond the boundary.
         wrong: how many contradict the classifier.
         surprising: how many of these lie where the classifier was sure, by four standard deviations.
-        recall: share of the failure probability that the classifier puts beyond the boundary; NaN without failure.
-        recall_low: lower end of its one-sided interval, with `confidence`.
         method: how the fresh simulations were drawn.
         deviation: of the margins of the fresh simulations (see `deviation_of_margins`); 1 without margins.
+        draws: of these simulations, some of them drawn repeatedly; 0 if they are all rows of the distribution, so that
+            the interval is that of the numerical failures alone.
+        hits: draws that ended beyond the boundary, or may have.
         check: of a question; None if none was made.
     """
 
@@ -203,15 +98,17 @@ class ProbabilityEstimate:
     low: float
     high: float
     confidence: float
+    recall: float
+    recall_low: float
     simulations: int
     unanswered: int
     beyond: int
     wrong: int
     surprising: int
-    recall: float
-    recall_low: float
-    method: str = "importance sampling of the classifier's mistakes"
+    method: str
     deviation: float = 1.0
+    draws: int = 0
+    hits: int = 0
     check: ModeCheck | None = None
 
     @property
@@ -226,6 +123,207 @@ class ProbabilityEstimate:
             "contradictions": self.wrong,
             "contradictions_where_sure": self.surprising,
         }
+
+
+class Counts(NamedTuple):
+    """The numbers of simulations of a `ProbabilityEstimate`."""
+
+    simulations: int
+    unanswered: int
+    beyond: int
+    wrong: int
+    surprising: int
+
+
+def counted(standardised: Array, beyond: NDArray[np.bool_], answered: NDArray[np.bool_]) -> Counts:
+    """The numbers of n simulations at which the latent's mean/sd was so large, (n,)."""
+    wrong = answered & (beyond != (standardised > 0.0))
+    numbers = (~answered, beyond & answered, wrong, wrong & (np.abs(standardised) > SURE))
+    return Counts(len(beyond), *(int(of.sum()) for of in numbers))
+
+
+Interval = tuple[float, float, float]
+"""A middle, and the lower and the upper end."""
+
+
+def estimated(
+    interval: Interval,
+    recall: tuple[float, float],
+    outcomes: tuple[Array, NDArray[np.bool_], NDArray[np.bool_]],
+    confidence: float,
+    method: str,
+) -> ProbabilityEstimate:
+    """The estimate with an interval and a recall, of which no end is below 0 or above 1.
+
+    Args:
+        interval: of the probability.
+        recall: and its lower bound.
+        outcomes: of the draws, the arguments of `counted`.
+        confidence: of the interval.
+        method: how the simulations were drawn.
+    """
+    middle, low, high = (min(1.0, max(0.0, end)) for end in interval)
+    _, beyond, answered = outcomes
+    hits = int((beyond | ~answered).sum())
+    # No design is drawn farther out than `REACH`; all of them may fail.
+    ends = min(low, middle), min(1.0, max(high, middle) + REACH)
+    numbers = counted(*outcomes)
+    return ProbabilityEstimate(middle, *ends, confidence, *recall, *numbers, method, draws=len(beyond), hits=hits)
+
+
+@dataclass(frozen=True, eq=False)
+class AllRows:
+    """All rows of a distribution, of which only the numerical failures remain unknown.
+
+    Attributes:
+        designs: (n, k).
+        ratio: (n,) weights, with mean 1.
+        standardised: (n,) the latent's mean/sd.
+    """
+
+    designs: Array
+    ratio: Array
+    standardised: Array
+
+    surest: ClassVar[tuple[int, float]] = (0, 0.0)
+
+    def estimate(
+        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+    ) -> ProbabilityEstimate:
+        """The share of the rows (see `Plan.estimate`)."""
+        share, predicted = self.ratio / self.ratio.sum(), self.standardised > 0.0
+        low, high = float(share @ (beyond & answered)), float(share @ (beyond | ~answered))
+        middle = float(share @ np.where(answered, beyond, predicted))
+        hit = float(share @ (beyond & answered & predicted))
+        missed = float(share @ (~predicted & (beyond | ~answered)))
+        recall = hit / low if low else math.nan, hit / (hit + missed) if hit else 0.0
+        numbers = counted(self.standardised, beyond, answered)
+        return ProbabilityEstimate(middle, low, high, confidence, *recall, *numbers, "all rows of the distribution")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Fresh designs that correct a classifier's failure probability.
+
+    Attributes:
+        designs: (m, d).
+        ratio: (m,) density of the design measure over that of the draws.
+        standardised: (m,) the latent's mean/sd.
+        probability: the share of the distribution for which the classifier predicts the outcome.
+        standard_error: of its integration.
+        doubts: the classifier's doubt of the designs that it puts short of the boundary, and beyond it, if the latent's
+            standard deviations are larger by a factor.
+        deviation: this factor, of the margins of the fresh simulations (see `deviation_of_margins`).
+        ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
+            where all are; None if none is probably lost.
+    """
+
+    designs: Array
+    ratio: Array
+    standardised: Array
+    probability: float
+    standard_error: float
+    doubts: Callable[[float], tuple[Doubt, Doubt]]
+    deviation: float = 1.0
+    ends: "tuple[Plan, Plan] | None" = None
+
+    def deviating(self, deviation: float) -> "Plan":
+        """The plan after the fresh margins showed how far they lie from their predictions.
+
+        If they lie farther than the latent's standard deviations say, the classifier's doubt grows in proportion.
+        """
+        ends = None if self.ends is None else (self.ends[0].deviating(deviation), self.ends[1].deviating(deviation))
+        return replace(self, deviation=deviation, ends=ends)
+
+    @property
+    def predicted(self) -> NDArray[np.bool_]:
+        """Whether the classifier puts each design beyond the boundary, (m,)."""
+        return self.standardised > 0.0
+
+    @property
+    def surest(self) -> tuple[int, float]:
+        """Simulations that would meet failure where the classifier is sure, and the share that each may stand for.
+
+        A part of them is drawn without regard to the classifier's doubt.
+        """
+        return len(self.designs), 1.0 / UNIFORM
+
+    def estimate(
+        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+    ) -> ProbabilityEstimate:
+        """The estimate from the outcomes of the simulations.
+
+        Args:
+            beyond: (m,) whether each outcome is beyond the boundary.
+            answered: (m,) whether each simulation gave an outcome; the interval covers both outcomes of the others.
+            confidence: of the interval.
+        """
+        middle, _, _ = self._interval(np.where(answered, beyond, self.predicted), confidence)
+        if_none, if_all = self.ends or (self, self)
+        _, low, _ = if_none._interval(beyond & answered, confidence)
+        _, _, high = if_all._interval(beyond | ~answered, confidence)
+        recall = self._recall(beyond, answered, confidence)
+        outcomes, method = (self.standardised, beyond, answered), "importance sampling of the classifier's mistakes"
+        of = estimated((middle, low, high), recall, outcomes, confidence, method)
+        return replace(of, deviation=self.deviation)
+
+    def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
+        """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
+        likely = ndtr(self.standardised)
+        widths = []
+        for _ in range(_IMAGINED):
+            beyond = rng.random(len(likely)) < likely
+            middle, _, high = self._interval(beyond, confidence)
+            if self.ends is not None:
+                # Where a run is probably lost, it counts as beyond.
+                _, _, high = self.ends[1]._interval(beyond | self.ends[1].predicted, confidence)
+            widths.append(high - middle)
+        return float(np.mean(widths))
+
+    @cached_property
+    def _doubts(self) -> tuple[Doubt, Doubt]:
+        """The classifier's doubt of what it misses, and of what it wrongly counts."""
+        return self.doubts(self.deviation)
+
+    def _interval(self, beyond: NDArray[np.bool_], confidence: float) -> Interval:
+        corrections = (beyond.astype(np.float64) - self.predicted) * self.ratio
+        (missed, false), m = self._doubts, len(corrections)
+        middle = self.probability + float(corrections.mean())
+        variance = _variance(corrections, missed.floor + false.floor) / m
+        variance += self.standard_error**2 + missed.of_population + false.of_population
+        half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
+        return middle, middle - half, middle + half
+
+    def _recall(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> tuple[float, float]:
+        """The share of the failure probability that the classifier puts beyond the boundary, and its lower bound.
+
+        Three bounds enter the lower one: of the probability that is missed, of the one that is wrongly counted, and of
+        the integral. Each errs a third as often as the lower bound may. Numerical failures are missed, or wrongly
+        counted.
+        """
+        quantile = float(t.ppf(1.0 - (1.0 - confidence) / 3.0, len(beyond) - 1))
+
+        def upper(wrong: NDArray[np.bool_], doubt: Doubt) -> float:
+            corrections = wrong * self.ratio
+            variance = _variance(corrections, doubt.floor) / len(wrong) + doubt.of_population
+            return float(corrections.mean()) + quantile * float(np.sqrt(variance))
+
+        predicted, (of_missed, of_false) = self.predicted, self._doubts
+        missed = float((answered & beyond & ~predicted) @ self.ratio) / len(beyond)
+        false = float((answered & ~beyond & predicted) @ self.ratio) / len(beyond)
+        missed_high = upper(~predicted & (beyond | ~answered), of_missed) + REACH
+        false_high = upper(predicted & ~(beyond & answered), of_false)
+        hit = max(0.0, self.probability - false)
+        hit_low = max(0.0, self.probability - false_high - quantile * self.standard_error)
+        if hit + missed <= 0.0:
+            return math.nan, 0.0
+        return hit / (hit + missed), hit_low / (hit_low + missed_high)
+
+
+def _variance(corrections: Array, floor: float) -> float:
+    """Variance of one correction, with a floor that counts as `_PRIOR_WEIGHT` observations."""
+    m = len(corrections)
+    return float(m * corrections.var(ddof=1) + _PRIOR_WEIGHT * floor) / (m + _PRIOR_WEIGHT)
 
 
 def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Array, margin: Array) -> float:
@@ -244,20 +342,22 @@ def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Ar
     return max(1.0, float(np.sqrt(np.mean(known**2)))) if len(known) else 1.0
 
 
-def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> Baseline:
-    """The share of a distribution for which a boundary is predicted to be crossed."""
-    return _baselines(lambda X: standardised(X)[:, None], space)[0]
+def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> OfBoundary:
+    """The share of a distribution for which a boundary is predicted to be crossed, which fresh simulations correct.
+
+    It counts predictions. `integral.integrate` gives the classifier's probability, the mean of its probabilities.
+    """
+    return _baselines(lambda X: standardised(X)[:, None], space).of(0)
 
 
-def _baselines(boundaries: Boundaries, space: DesignSpace | WeightedRows) -> list[Baseline]:
-    integral = integrate(lambda X: np.where(boundaries(X) > 0.0, np.inf, -np.inf), space, accuracy=_ACCURACY)
-    return [Baseline(*map(float, pair)) for pair in zip(integral.probability, integral.error, strict=True)]
+def _baselines(boundaries: Boundaries, space: DesignSpace | WeightedRows) -> Integral:
+    return integrate(lambda X: np.where(boundaries(X) > 0.0, np.inf, -np.inf), space, accuracy=_ACCURACY)
 
 
 def plan_estimate(
     standardised: Standardised,
     space: DesignSpace | WeightedRows,
-    of_classifier: Baseline,
+    of_classifier: OfBoundary,
     m: int,
     rng: np.random.Generator,
 ) -> Plan:
@@ -270,9 +370,7 @@ def plan_estimate(
         m: number of simulations.
         rng: draws them.
     """
-    drawn = population(space, RADIAL, None, rng)
-    z = standardised(drawn.X)[None, None]
-    return _planned(drawn.X, drawn.weight, z, [[of_classifier]], m, rng, isinstance(space, WeightedRows))[0]
+    return _planned([lambda X: standardised(X)[:, None]], space, [[of_classifier]], m, rng)[0]
 
 
 def plan_estimates(
@@ -287,33 +385,23 @@ def plan_estimates(
         m: number of simulations.
         rng: draws them.
     """
-    drawn = population(space, RADIAL, None, rng)
-    z = np.array([of(drawn.X).T for of in boundaries])
-    shares = [_baselines(of, space) for of in boundaries]
-    return _planned(drawn.X, drawn.weight, z, shares, m, rng, isinstance(space, WeightedRows))
+    integrals = [_baselines(of, space) for of in boundaries]
+    shares = [[integral.of(column) for column in range(len(integral.probability))] for integral in integrals]
+    return _planned(boundaries, space, shares, m, rng)
 
 
 def _planned(
-    X: Array,
-    weight: Array,
-    z: Array,
-    baselines: Sequence[Sequence[Baseline]],
+    boundaries: Sequence[Boundaries],
+    space: DesignSpace | WeightedRows,
+    baselines: Sequence[Sequence[OfBoundary]],
     m: int,
     rng: np.random.Generator,
-    is_exact: bool,
 ) -> list[Plan]:
-    """A plan for each boundary with the same m designs of a weighted sample, or of an exact distribution.
-
-    Args:
-        X: (n, d) the sample.
-        weight: (n,) density of the design measure over that of the sample.
-        z: (1 or 3, b, n) the boundaries there (see `plan_estimates`).
-        baselines: (1 or 3, b).
-        m: number of simulations.
-        rng: draws them.
-        is_exact: whether the rows are the distribution itself, by their weights.
-    """
-    # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
+    """A plan for each of b boundaries, with the same m designs; `baselines` are (1 or 3, b)."""
+    X, weight = population(space, RADIAL, None, rng)[1:]
+    z = np.array([of(X).T for of in boundaries])
+    # Rows are the distribution itself, and are drawn by their weights; a sample is drawn as it comes.
+    is_exact = isinstance(space, WeightedRows)
     shares = weight / weight.sum() if is_exact else np.full(len(X), 1.0 / len(X))
     parts = weight * doubt(z / _WIDER).max(axis=0)
     if len(parts := parts[parts.sum(axis=1) > 0.0]):
@@ -336,63 +424,9 @@ def _planned(
 
     rows = rng.choice(len(X), m, p=shares / shares.sum())
 
-    def plan(z: Array, share: Baseline) -> Plan:
-        missed, false = doubts(z, 1.0)
-        return Plan(
-            designs=X[rows],
-            ratio=ratio[rows],
-            predicted=z[rows] > 0.0,
-            standardised=z[rows],
-            probability=share.probability,
-            standard_error=share.standard_error,
-            missed=missed,
-            false=false,
-            doubts=partial(doubts, z),
-        )
+    def plan(z: Array, share: OfBoundary) -> Plan:
+        return Plan(X[rows], ratio[rows], z[rows], share.probability, share.error, partial(doubts, z))
 
     learned, *ends = ([plan(*one) for one in zip(*of, strict=True)] for of in zip(z, baselines, strict=True))
     pairs = zip(*ends, strict=True) if ends else [None] * len(learned)
     return [replace(of, ends=pair) for of, pair in zip(learned, pairs, strict=True)]
-
-
-def _recall(
-    plan: Plan, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
-) -> tuple[float, float]:
-    """The share of the failure probability that the classifier puts beyond the boundary, and its lower bound.
-
-    Three bounds enter the lower one: of the probability that is missed, of the one that is wrongly counted, and of the
-    integral. Each errs a third as often as the lower bound may. Numerical failures are missed, or wrongly counted.
-    """
-    one_sided = 1.0 - (1.0 - confidence) / 3.0
-    missed = float((answered & beyond & ~plan.predicted) @ plan.ratio) / len(beyond)
-    false = float((answered & ~beyond & plan.predicted) @ plan.ratio) / len(beyond)
-    missed_high = _upper(~plan.predicted & (beyond | ~answered), plan, plan.missed, one_sided) + REACH
-    false_high = _upper(plan.predicted & ~(beyond & answered), plan, plan.false, one_sided)
-    of_integral = float(t.ppf(one_sided, len(beyond) - 1)) * plan.standard_error
-    hit, hit_low = max(0.0, plan.probability - false), max(0.0, plan.probability - false_high - of_integral)
-    if hit + missed <= 0.0:
-        return float("nan"), 0.0
-    return hit / (hit + missed), hit_low / (hit_low + missed_high)
-
-
-def _upper(wrong: NDArray[np.bool_], plan: Plan, doubt: Doubt, one_sided: float) -> float:
-    """One-sided upper bound on the probability of what is wrong, from the rows of the plan that are."""
-    corrections = wrong * plan.ratio
-    variance = _variance(corrections, doubt.floor) / len(wrong) + doubt.of_population
-    return float(corrections.mean()) + float(t.ppf(one_sided, len(wrong) - 1)) * float(np.sqrt(variance))
-
-
-def _variance(corrections: Array, floor: float) -> float:
-    """Variance of one correction, with a floor that counts as `_PRIOR_WEIGHT` observations."""
-    m = len(corrections)
-    return float(m * corrections.var(ddof=1) + _PRIOR_WEIGHT * floor) / (m + _PRIOR_WEIGHT)
-
-
-def _interval(plan: Plan, beyond: NDArray[np.bool_], confidence: float) -> tuple[float, float, float]:
-    corrections = (beyond.astype(np.float64) - plan.predicted) * plan.ratio
-    m = len(corrections)
-    middle = plan.probability + float(corrections.mean())
-    variance = _variance(corrections, plan.missed.floor + plan.false.floor) / m
-    variance += plan.standard_error**2 + plan.missed.of_population + plan.false.of_population
-    half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
-    return middle, middle - half, middle + half

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from activefail.acquisition.population import population
-from activefail.reliability.estimate import RADIAL, SURE, Baseline, ProbabilityEstimate
-from activefail.reliability.integral import Standardised
+from activefail.reliability.estimate import RADIAL, ProbabilityEstimate, estimated
+from activefail.reliability.integral import OfBoundary, Standardised
 from activefail.space import REACH, Array, DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -60,10 +60,9 @@ class StratifiedPlan:
     Attributes:
         designs: (m, k).
         stratum: (m,) of each design.
-        predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
         standardised: (m,) the latent's mean/sd.
-        volume: (s,) of the strata, as shares of the distribution; their sum is 1.
-        is_beyond: (s,) bool, whether the classifier puts the stratum beyond the boundary.
+        volume: (s,) of the strata, as shares of the distribution; their sum is 1. The classifier puts the second half
+            of them beyond the boundary.
         doubt: (s,) share of wrong predictions that the classifier expects in each stratum.
         standard_error: of the classifier's probability, from its integration.
         fallibility: factor on the first parameter of the prior, 1 unless the outcome is rare.
@@ -71,17 +70,25 @@ class StratifiedPlan:
 
     designs: Array
     stratum: NDArray[np.int_]
-    predicted: NDArray[np.bool_]
     standardised: Array
     volume: Array
-    is_beyond: NDArray[np.bool_]
     doubt: Array
     standard_error: float
     fallibility: float = 1.0
 
     @property
+    def is_beyond(self) -> NDArray[np.bool_]:
+        """Whether the classifier puts each stratum beyond the boundary, (s,)."""
+        return np.asarray(np.arange(len(self.volume)) >= len(self.volume) // 2)
+
+    @property
+    def predicted(self) -> NDArray[np.bool_]:
+        """Whether the classifier puts each design beyond the boundary, (m,)."""
+        return self.standardised > 0.0
+
+    @property
     def probability(self) -> float:
-        """The classifier's own."""
+        """The share of the distribution for which the classifier predicts the outcome."""
         return float(self.volume[self.is_beyond].sum())
 
     @property
@@ -102,33 +109,13 @@ class StratifiedPlan:
     def estimate(
         self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
     ) -> ProbabilityEstimate:
-        """The estimate from the outcomes of the simulations.
-
-        Args:
-            beyond: (m,) whether each outcome is beyond the boundary.
-            answered: (m,) whether each simulation gave an outcome; the interval covers both outcomes of the others.
-            confidence: of the interval.
-        """
-        middle = self._middle(np.where(answered, beyond, self.predicted))
+        """The estimate from the outcomes of the simulations (see `estimate.Plan.estimate`)."""
         tails = 0.5 - 0.5 * confidence
-        low = np.quantile(self._posterior(beyond & answered, _RIGHT_BELOW), tails)
-        high = np.quantile(self._posterior(beyond | ~answered), 1.0 - tails)
-        wrong = answered & (beyond != self.predicted)
-        recall, recall_low = self._recall(beyond, answered, confidence)
-        return ProbabilityEstimate(
-            probability=middle,
-            low=max(0.0, min(float(low), middle)),
-            high=min(1.0, max(float(high), middle) + REACH),
-            confidence=confidence,
-            simulations=len(beyond),
-            unanswered=int((~answered).sum()),
-            beyond=int((beyond & answered).sum()),
-            wrong=int(wrong.sum()),
-            surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
-            recall=recall,
-            recall_low=recall_low,
-            method="strata of the classifier's doubt",
-        )
+        low = float(np.quantile(self._posterior(beyond & answered, _RIGHT_BELOW), tails))
+        high = float(np.quantile(self._posterior(beyond | ~answered), 1.0 - tails))
+        interval = sum(self._counted(np.where(answered, beyond, self.predicted))), low, high
+        outcomes, recall = (self.standardised, beyond, answered), self._recall(beyond, answered, confidence)
+        return estimated(interval, recall, outcomes, confidence, "strata of the classifier's doubt")
 
     def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
         """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
@@ -137,7 +124,7 @@ class StratifiedPlan:
         for _ in range(_IMAGINED):
             beyond = rng.random(len(likely)) < likely
             high = np.quantile(self._posterior(beyond), 0.5 + 0.5 * confidence)
-            widths.append(float(high) - self._middle(beyond))
+            widths.append(float(high) - sum(self._counted(beyond)))
         return float(np.mean(widths))
 
     def _wrong(self, beyond: NDArray[np.bool_]) -> Array:
@@ -163,10 +150,11 @@ class StratifiedPlan:
         hit = ((1.0 - shares) * self.volume)[..., side].sum(axis=-1)
         return hit, (shares * self.volume)[..., ~side].sum(axis=-1)
 
-    def _middle(self, beyond: NDArray[np.bool_]) -> float:
+    def _counted(self, beyond: NDArray[np.bool_]) -> tuple[float, float]:
+        """The parts of the probability (see `_parts`), by the shares of wrong predictions that were counted."""
         n = self.counts
-        shares = np.divide(self._wrong(beyond), n, out=self.doubt.copy(), where=n > 0)
-        return float(np.sum(self._parts(shares)))
+        hit, missed = self._parts(np.divide(self._wrong(beyond), n, out=self.doubt.copy(), where=n > 0))
+        return float(hit), float(missed)
 
     def _posterior(self, beyond: NDArray[np.bool_], right: float = np.inf) -> Array:
         """Draws of the probability, (draws,); the arguments are those of `_shares`."""
@@ -180,15 +168,13 @@ class StratifiedPlan:
         Two bounds enter the lower one, each of which errs half as often as it may: of the probability that is rightly
         counted, and of the one that is missed. Numerical failures are missed, or wrongly counted.
         """
-        n = self.counts
-        wrong = self._wrong(np.where(answered, beyond, self.predicted))
-        hit, missed = self._parts(np.divide(wrong, n, out=self.doubt.copy(), where=n > 0))
+        hit, missed = self._counted(np.where(answered, beyond, self.predicted))
         if hit + missed <= 0.0:
             return float("nan"), 0.0
         of_hits, of_missed = self._parts(self._shares(np.where(answered, beyond, ~self.predicted)))
         error = 0.5 * (1.0 - confidence)
         hit_low, missed_high = float(np.quantile(of_hits, error)), float(np.quantile(of_missed, 1.0 - error)) + REACH
-        return float(hit / (hit + missed)), hit_low / (hit_low + missed_high)
+        return hit / (hit + missed), hit_low / (hit_low + missed_high)
 
 
 def plan_strata(
@@ -217,7 +203,7 @@ def plan_strata(
 def plan_wide_strata(
     standardised: Standardised,
     space: DesignSpace | WeightedRows,
-    of_classifier: Baseline,
+    of_classifier: OfBoundary,
     m: int,
     rng: np.random.Generator,
 ) -> StratifiedPlan | None:
@@ -235,7 +221,7 @@ def plan_wide_strata(
     if of_classifier.probability < _LEAST:
         return None
     drawn = population(space, RADIAL, None, rng)
-    z, error = standardised(drawn.X), of_classifier.standard_error
+    z, error = standardised(drawn.X), of_classifier.error
     if not isinstance(space, WeightedRows):
         # The simulations are drawn from a population, which itself is a sample.
         error = float(np.sqrt(error**2 + np.sum(drawn.weight**2 * ndtr(-np.abs(z))) / len(z) ** 2))
@@ -280,7 +266,7 @@ def _planned(
     neyman = volume * np.sqrt(np.maximum(doubt, _LEAST_DOUBT * fallibility**2) * (1.0 - doubt))
     rows_of = [np.flatnonzero((stratum == k) & (weight > 0.0)) for k in range(2 * sides)]
     most = np.array([m if with_replacement and len(rows) else len(rows) for rows in rows_of])
-    counts = _rounded(m * ((1.0 - _BY_VOLUME) * neyman / neyman.sum() + _BY_VOLUME * volume), most)
+    counts = rounded(m * ((1.0 - _BY_VOLUME) * neyman / neyman.sum() + _BY_VOLUME * volume), most)
     drawn = []
     for rows, count in zip(rows_of, counts, strict=True):
         if count:
@@ -289,17 +275,15 @@ def _planned(
     return StratifiedPlan(
         designs=X[chosen],
         stratum=stratum[chosen],
-        predicted=z[chosen] > 0.0,
         standardised=z[chosen],
         volume=volume,
-        is_beyond=np.arange(2 * sides) >= sides,
         doubt=doubt,
         standard_error=error,
         fallibility=fallibility,
     )
 
 
-def _rounded(shares: Array, most: NDArray[np.int_]) -> NDArray[np.int_]:
+def rounded(shares: Array, most: NDArray[np.int_]) -> NDArray[np.int_]:
     """Whole numbers near the shares, (s,), with the same sum, none above its greatest number, (s,)."""
     total = round(float(shares.sum()))
     counts = np.minimum(np.floor(shares).astype(np.int_), most)

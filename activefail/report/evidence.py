@@ -17,7 +17,8 @@ from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import ErrorEstimate, verified
-from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
+from activefail.verification.probability_estimator import Estimator
+from activefail.verification.stored_sets import VALIDATION, set_name, sizes_of_test_sets, stored_set
 
 _BUDGETS = 5
 
@@ -77,7 +78,7 @@ def _curve(campaign: Campaign, store: Store, stage: Callable[[str], None]) -> tu
 
 def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Reliability | None:
     latent = classifier.latents[campaign.severity - 1]
-    sets = [(name_of_test_set(size), "test") for size in sizes_of_test_sets(store)]
+    sets = [(set_name("test", size), "test") for size in sizes_of_test_sets(store)]
     for name, source in [*sets, (VALIDATION, "validation")]:
         if (designs_and_outcomes := stored_set(store, name)) is not None:
             X, outcome = designs_and_outcomes
@@ -143,7 +144,7 @@ def evidence_of(
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
         missing["reliability"] = "a test set, or a complete initial design"
-    error = verified(campaign, store, classifier, store.batches[-1].iteration, 0.9)
+    error = verified(Estimator(campaign, store, None, classifier, store.batches[-1].iteration), 0.9)
     if error is None:
         missing["error"] = "a verification of the classifier's error"
     return Evidence(curve, reliability, error, missing)

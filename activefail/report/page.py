@@ -28,11 +28,10 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.lost import where_lost
 from activefail.findings.prediction import information
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
-from activefail.findings.summary import Summary, features_in_words, simulator_in_words
+from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK

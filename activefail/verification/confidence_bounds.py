@@ -95,16 +95,12 @@ def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
     return scale * float(beta.ppf(q, mean * total, (1.0 - mean) * total))
 
 
-def largest_unseen_share(n: int, confidence: float = 0.9, unanswered: int = 0) -> float:
-    """One-sided upper confidence bound on the probability of an event that n independent draws did not show.
-
-    1 − (1 − confidence)^(1/n), the exact bound; 1 without draws. Unanswered draws count as possible events, with
-    Clopper and Pearson's bound.
-    """
-    if n == 0:
+def upper_bound(hits: int, draws: int, confidence: float) -> float:
+    """One-sided upper bound on a probability from independent draws [ClopperPearson1934]; 1 if none is no hit."""
+    if hits >= draws:
         return 1.0
-    if unanswered == 0:
-        return float(-np.expm1(np.log1p(-confidence) / n))
+    if hits == 0:
+        return float(-np.expm1(np.log1p(-confidence) / draws))
     from scipy.stats import beta
 
-    return float(beta.ppf(confidence, unanswered + 1, n))
+    return float(beta.ppf(confidence, hits + 1, draws - hits))

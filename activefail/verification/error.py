@@ -14,22 +14,17 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.execution.executor import Executor
-from activefail.features import FeatureMap
-from activefail.record.store import Store
+from activefail.reliability.strata import rounded
 from activefail.shares import interval_percent, percent
-from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent, Moments
-from activefail.surrogate.margin import MarginLatent
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier, Moments
 from activefail.verification.confidence_bounds import StratifiedCount
+from activefail.verification.probability_estimator import Estimator
 from activefail.verification.stored_sets import (
-    first_part,
     looks_before,
-    name_of_look,
-    name_of_verification,
-    simulated_outcomes,
-    stored_outcomes,
+    set_name,
+    stored_results,
     verified_sizes,
 )
 
@@ -108,11 +103,6 @@ def probability_wrong(moments: Moments) -> Array:
     return np.asarray(np.minimum(moments.probability, 1.0 - moments.probability))
 
 
-def part_of(wrong: Array) -> NDArray[np.intp]:
-    """The part, 0 (most certain) to 4, of designs with these probabilities of being wrong, (n,)."""
-    return np.searchsorted(EDGES, wrong, side="right")
-
-
 @dataclass(frozen=True)
 class Verification:
     """A plan of fresh simulations for one latent.
@@ -132,19 +122,19 @@ class Verification:
     expected: Array
 
 
-def plan_verification(
-    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
-) -> Verification:
-    """Plan n fresh designs, random within each part."""
-    pool = space.from_unit(rng.random((POOL, space.dimension)))
-    moments = latent.moments(features(pool))
+def planned(estimator: Estimator, simulations: int) -> Verification:
+    """The plan that verifies a classifier: fresh designs, random within each part."""
+    campaign = estimator.campaign
+    rng = stream(campaign.settings.seed, "verification", estimator.iteration)
+    pool = campaign.space.from_unit(rng.random((POOL, campaign.space.dimension)))
+    moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
     wrong = probability_wrong(moments)
-    part = part_of(wrong)
+    part = np.searchsorted(EDGES, wrong, side="right")
     parts = len(EDGES) + 1
     counts = np.bincount(part, minlength=parts)
     volumes = counts / POOL
     expected = np.bincount(part, weights=wrong, minlength=parts) / np.maximum(counts, 1)
-    numbers = np.minimum(allotted(volumes, expected, n), counts)
+    numbers = np.minimum(allotted(volumes, expected, simulations), counts)
     rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
     return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
 
@@ -160,15 +150,7 @@ def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
     # At least 1 % wrong in every part: the classifier's own certainty must not exempt a part from the test.
     share = np.maximum(expected, 0.01)
     weights = volumes * np.sqrt(share * (1.0 - share))
-    return _whole(n * weights / weights.sum())
-
-
-def _whole(shares: Array) -> NDArray[np.intp]:
-    """Round shares to integers of the same sum, by largest remainders."""
-    whole = np.floor(shares).astype(np.intp)
-    remainder = round(float(shares.sum())) - int(whole.sum())
-    whole[np.argsort(whole - shares, kind="stable")[:remainder]] += 1
-    return whole
+    return rounded(n * weights / weights.sum(), np.full(len(weights), n))
 
 
 def estimate_error(
@@ -215,13 +197,6 @@ def expected_error(campaign: Campaign, classifier: Classifier) -> float:
     return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
 
 
-def planned(campaign: Campaign, classifier: Classifier, iteration: int, simulations: int) -> Verification:
-    """The plan that verifies the classifier of an iteration."""
-    rng = stream(campaign.settings.seed, "verification", iteration)
-    latent = classifier.latents[campaign.severity - 1]
-    return plan_verification(latent, campaign.features, campaign.space, simulations, rng)
-
-
 def could_show(plan: Verification, error: float, confidence: float) -> bool:
     """Whether a plan would show an error of at most `error` if half as many are wrong as the classifier expects."""
     counted = np.bincount(plan.part, minlength=len(EDGES) + 1).astype(np.float64)
@@ -233,67 +208,52 @@ def least_simulations(error: float, confidence: float) -> int:
     return int(np.ceil(np.log1p(-confidence_of_look(confidence, 1)) / np.log1p(-error)))
 
 
-def verify_by_rule(
-    campaign: Campaign,
-    store: Store,
-    executor: Executor,
-    classifier: Classifier,
-    iteration: int,
-    stop: Callable[[], bool] = lambda: False,
-) -> tuple[ErrorEstimate | None, bool]:
+def verify_by_rule(estimator: Estimator, stop: Callable[[], bool] = lambda: False) -> tuple[ErrorEstimate | None, bool]:
     """The verified error if the stop rule looks now, otherwise None, and whether the rule is met.
 
     Simulates nothing if the classifier itself expects a larger error than the rule allows, or if the rule has too few
     simulations to show so small an error.
     """
-    rule = campaign.settings.error_rule
-    if rule is None or expected_error(campaign, classifier) > rule.error:
+    rule = estimator.campaign.settings.error_rule
+    if rule is None or expected_error(estimator.campaign, estimator.classifier) > rule.error:
         return None, False
-    confidence = confidence_of_look(rule.confidence, 1 + looks_before(store, iteration))
-    plan = planned(campaign, classifier, iteration, rule.simulations)
+    confidence = confidence_of_look(rule.confidence, 1 + looks_before(estimator.store, estimator.iteration))
+    plan = planned(estimator, rule.simulations)
     if not could_show(plan, rule.error, confidence):
         return None, False
-    name, twin = name_of_look(iteration, rule.simulations), name_of_verification(iteration, rule.simulations)
-    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs, stop, twin)
-    if outcome is None:
+    results = estimator.results(*_names(estimator, rule.simulations), plan.designs, stop)
+    if results is None:
         return None, False
-    error = _judged(campaign, plan, outcome, rule.confidence)
+    error = _judged(estimator.campaign, plan, results, rule.confidence)
     return error, error.is_at_most(rule.error, confidence)
 
 
-def verify(
-    campaign: Campaign,
-    store: Store,
-    executor: Executor,
-    classifier: Classifier,
-    iteration: int,
-    simulations: int,
-    confidence: float,
-) -> ErrorEstimate:
-    """Estimate the error of the classifier of an iteration from fresh simulations, which are kept in the run folder."""
-    plan = planned(campaign, classifier, iteration, simulations)
-    # Reuse the simulations of a look.
-    names = name_of_look(iteration, simulations), name_of_verification(iteration, simulations)
-    name = next((name for name in names if store.read_set(first_part(name)) is not None), names[-1])
-    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs)
-    assert outcome is not None  # no stop was requested
-    return _judged(campaign, plan, outcome, confidence)
+def verify(estimator: Estimator, simulations: int, confidence: float) -> ErrorEstimate:
+    """Estimate the error of the classifier from fresh simulations, which are kept in the run folder."""
+    plan, (of_look, name) = planned(estimator, simulations), _names(estimator, simulations)
+    results = estimator.results(name, of_look, plan.designs)
+    assert results is not None  # no stop was requested
+    return _judged(estimator.campaign, plan, results, confidence)
 
 
-def verified(
-    campaign: Campaign, store: Store, classifier: Classifier, iteration: int, confidence: float
-) -> ErrorEstimate | None:
-    """The error verified at an iteration, by a user or the stop rule; None if there is none.
+def verified(estimator: Estimator, confidence: float) -> ErrorEstimate | None:
+    """The error verified at the last iteration, by a user or the stop rule; None if there is none.
 
     It uses the largest stored set of fresh simulations and simulates nothing.
     """
-    for simulations in verified_sizes(store, iteration):
-        plan = planned(campaign, classifier, iteration, simulations)
-        for name in (name_of_look(iteration, simulations), name_of_verification(iteration, simulations)):
-            if (outcome := stored_outcomes(store, name, plan.designs)) is not None:
-                return _judged(campaign, plan, outcome, confidence)
+    for simulations in verified_sizes(estimator.store, estimator.iteration):
+        plan = planned(estimator, simulations)
+        for name in _names(estimator, simulations):
+            if (results := stored_results(estimator.store, name, plan.designs)) is not None:
+                return _judged(estimator.campaign, plan, results, confidence)
     return None
 
 
-def _judged(campaign: Campaign, plan: Verification, outcome: NDArray[np.int8], confidence: float) -> ErrorEstimate:
-    return estimate_error(plan, outcome >= campaign.severity, outcome != NUMERICAL_FAILURE, confidence)
+def _names(estimator: Estimator, simulations: int) -> tuple[str, str]:
+    """Names of a look's fresh simulations, and of a user's; their designs are the same."""
+    of = estimator.iteration, simulations
+    return set_name("look", *of), set_name("verification", *of)
+
+
+def _judged(campaign: Campaign, plan: Verification, results: Results, confidence: float) -> ErrorEstimate:
+    return estimate_error(plan, results.outcome >= campaign.severity, results.outcome != NUMERICAL_FAILURE, confidence)

@@ -1,6 +1,7 @@
 """Sets of designs simulated outside the budget and kept in the run folder: names, simulation and reading.
 
-A set is stored in parts, `<name>-<part>`, so that an interruption loses at most one part. Its name is one of
+A set is stored in parts, `<name>-<part>`, so that an interruption loses at most one part. Its name (`set_name`) is
+one of
 
     validation                          for the accuracy shown as progress
     test-<designs>                      for comparing samplings
@@ -36,52 +37,19 @@ _PART = 500
 VALIDATION = "validation"
 
 
-def name_of_test_set(designs: int) -> str:
-    """Name of a test set."""
-    return f"test-{designs}"
+def set_name(kind: str, *parts: object) -> str:
+    """The name of a set: its kind, then what the list above says."""
+    return "-".join(map(str, (kind, *parts)))
 
 
-def name_of_static_set(designs: int, seed: int | None = None) -> str:
-    """Name of a static Latin hypercube; with its seed in a comparison over seeds."""
-    return f"static-{designs}" if seed is None else f"static-{designs}-seed{seed}"
+def kind_of_estimate(question: str) -> str:
+    """The kind of fresh simulations that estimate a probability, by the digest of the question; "" for the own one."""
+    return f"question-{question[:16]}" if question else "probability"
 
 
-def name_of_neighbours(designs: int) -> str:
-    """Name of the set of designs around those of a test set of this size."""
-    return f"around-{designs}"
-
-
-def name_of_look(iteration: int, designs: int) -> str:
-    """Name of the fresh simulations of a look of the stop rule."""
-    return f"look-{iteration}-{designs}"
-
-
-def name_of_verification(iteration: int, designs: int) -> str:
-    """Name of the fresh simulations that a user requested; the same designs as a look's."""
-    return f"verification-{iteration}-{designs}"
-
-
-def name_of_estimate(severity: int, iteration: int, designs: int, question: str = "") -> str:
-    """Name of the fresh simulations that estimate the probability of an outcome, by its number.
-
-    Args:
-        severity: number of the outcome.
-        iteration: of the classifier.
-        designs: number of simulations.
-        question: digest of the question; empty for the design measure.
-    """
-    of = f"{severity}-{iteration}-{designs}"
-    return f"question-{question[:16]}-{of}" if question else f"probability-{of}"
-
-
-def name_of_check(severity: int, iteration: int, designs: int, question: str) -> str:
-    """Name of the mode check beside the fresh simulations of a question (see `name_of_estimate`)."""
-    return f"check-{question[:16]}-{severity}-{iteration}-{designs}"
-
-
-def first_part(name: str) -> str:
-    """Name under which the first part of a set is stored."""
-    return f"{name}-0"
+def is_stored(store: Store, name: str) -> bool:
+    """Whether the first part of a set is stored."""
+    return f"{name}-0" in store.set_names()
 
 
 def sizes_of_test_sets(store: Store) -> list[int]:
@@ -96,8 +64,7 @@ def verified_sizes(store: Store, iteration: int) -> list[int]:
 
 def estimate_sizes(store: Store, severity: int, iteration: int, question: str = "") -> list[int]:
     """Sizes of the sets that estimate a probability at an iteration, the largest first."""
-    name = name_of_estimate(severity, iteration, 0, question)
-    return _numbers(store, rf"{name.removesuffix('0')}(\d+)")
+    return _numbers(store, rf"{kind_of_estimate(question)}-{severity}-{iteration}-(\d+)")
 
 
 def looks_before(store: Store, iteration: int) -> int:
@@ -111,16 +78,10 @@ def _numbers(store: Store, pattern: str) -> list[int]:
     return sorted((int(match[1]) for match in matches if match), reverse=True)
 
 
-def stored_outcomes(store: Store, name: str, X: Array) -> NDArray[np.int8] | None:
-    """Stored outcomes, (n,), of the designs of a set, (n, d); None unless all of them are stored."""
-    results = stored_results(store, name, X)
-    return None if results is None else results.outcome
-
-
 def stored_results(store: Store, name: str, X: Array) -> Results | None:
     """Stored results of the designs of a set, (n, d); None unless all of them are stored."""
     parts = [_same(store.read_set(f"{name}-{part}"), rows) for part, rows in enumerate(_parts(X))]
-    results = [part[1] for part in parts if part is not None]
+    results = [part for part in parts if part is not None]
     return Results.concatenate(results) if len(results) == len(parts) else None
 
 
@@ -131,27 +92,10 @@ def stored_set(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None
         parts.append(part)
     if not parts:
         return None
-    X, outcome = np.concatenate([part[0] for part in parts]), np.concatenate([part[1].outcome for part in parts])
-    answered = outcome != NUMERICAL_FAILURE
-    return (X[answered], outcome[answered]) if answered.any() else None
-
-
-def _parts(X: Array) -> list[Array]:
-    return [X[first : first + _PART] for first in range(0, len(X), _PART)]
-
-
-def simulated_outcomes(
-    campaign: "Campaign",
-    store: Store,
-    executor: "Executor",
-    name: str,
-    X: Array,
-    stop: Callable[[], bool] = lambda: False,
-    twin: str = "",
-) -> NDArray[np.int8] | None:
-    """Outcomes, (n,), of a set's designs; -1 for a numerical failure. None if stopped (see `simulated_results`)."""
-    results = simulated_results(campaign, store, executor, name, X, stop, twin)
-    return None if results is None else results.outcome
+    X, outcome = _answered(
+        np.concatenate([X for X, _ in parts]), Results.concatenate([results for _, results in parts])
+    )
+    return (X, outcome) if len(X) else None
 
 
 def simulated_results(
@@ -183,32 +127,20 @@ def simulated_results(
     parts = []
     for part, rows in enumerate(_parts(X)):
         key = f"{name}-{part}"
-        saved = _same(store.read_set(key), rows)
-        if saved is None and twin and (saved := _same(store.read_set(f"{twin}-{part}"), rows)) is not None:
-            store.write_set(key, *saved)
-        if saved is None:
-            if stop():
+        results = _same(store.read_set(key), rows)
+        if results is None:
+            results = _same(store.read_set(f"{twin}-{part}"), rows) if twin else None
+            if results is None and stop():
                 return None
-            results = executor.run(campaign.simulator, rows)
+            results = results or executor.run(campaign.simulator, rows)
             if (results.outcome == NUMERICAL_FAILURE).all():
                 raise SimulationError(
                     f"None of the {len(rows)} simulations for {name} gave an outcome. Their results were discarded."
                     + first_fault_text(results.faults.values())
                 )
-            saved = (rows, results)
-            store.write_set(key, *saved)
-        parts.append(saved[1])
+            store.write_set(key, rows, results)
+        parts.append(results)
     return Results.concatenate(parts)
-
-
-def first_fault_text(faults: Iterable[str]) -> str:
-    """A sentence for the end of a message that quotes the first fault; empty if there is none."""
-    return next((f" Why the first abandoned simulation failed: {fault}" for fault in faults), "")
-
-
-def _same(saved: tuple[Array, Results] | None, X: Array) -> tuple[Array, Results] | None:
-    """The saved part if it holds exactly these designs, otherwise None."""
-    return saved if saved is not None and np.array_equal(saved[0], X) else None
 
 
 def simulated_set(
@@ -219,9 +151,25 @@ def simulated_set(
     X: Array,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs and outcomes of a set, without numerical failures; None if stopped (see `simulated_outcomes`)."""
-    outcome = simulated_outcomes(campaign, store, executor, name, X, stop)
-    if outcome is None:
-        return None
-    answered = outcome != NUMERICAL_FAILURE
-    return X[answered], outcome[answered]
+    """Designs and outcomes of a set, without numerical failures; None if stopped (see `simulated_results`)."""
+    results = simulated_results(campaign, store, executor, name, X, stop)
+    return None if results is None else _answered(X, results)
+
+
+def first_fault_text(faults: Iterable[str]) -> str:
+    """A sentence for the end of a message that quotes the first fault; empty if there is none."""
+    return next((f" Why the first abandoned simulation failed: {fault}" for fault in faults), "")
+
+
+def _parts(X: Array) -> list[Array]:
+    return [X[first : first + _PART] for first in range(0, len(X), _PART)]
+
+
+def _same(saved: tuple[Array, Results] | None, X: Array) -> Results | None:
+    """The results of a saved part if it holds exactly these designs, otherwise None."""
+    return saved[1] if saved is not None and np.array_equal(saved[0], X) else None
+
+
+def _answered(X: Array, results: Results) -> tuple[Array, NDArray[np.int8]]:
+    answered = results.outcome != NUMERICAL_FAILURE
+    return X[answered], results.outcome[answered]

@@ -22,7 +22,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.findings.status import read_status
-from activefail.reliability.estimate import Doubt, Plan
+from activefail.reliability.estimate import AllRows
 from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
@@ -684,11 +684,10 @@ def test_a_plan_for_many_rows_predicts_a_sample_of_them_and_reads_its_simulation
 
 
 def test_the_interval_of_all_rows_is_that_of_the_numerical_failures() -> None:
-    none = Doubt(0.0, 0.0)
     weight, z = np.array([2.0, 1.0, 0.5, 0.5]), np.array([1.0, -1.0, -1.0, 5.0])
-    plan = Plan(np.zeros((4, 1)), weight, z > 0.0, z, 0.625, 0.0, none, none)
+    plan = AllRows(np.zeros((4, 1)), weight, z)
     beyond, answered = np.array([True, True, False, False]), np.array([True, True, False, True])
-    found = Sampled(plan, beyond, answered, np.arange(4), is_complete=True).estimate(0.9)
+    found = Sampled(plan, beyond, answered, np.arange(4)).estimate(0.9)
     assert (found.low, found.probability, found.high) == pytest.approx((0.75, 0.75, 0.875))
     assert (found.simulations, found.unanswered, found.beyond, found.wrong, found.surprising) == (4, 1, 2, 2, 1)
     assert (found.recall, found.recall_low) == pytest.approx((2 / 3, 0.5 / 0.875))

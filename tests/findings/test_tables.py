@@ -105,16 +105,12 @@ def _with(column: str, cell: str) -> str:
 
 BAD = {
     **{
-        f"{name} of {cell}": (_with(name, cell), f"column {name}: `{name} > 0` must hold, got {float(cell):g}")
+        f"{name} of {cell}": (_with(name, cell), f"column {name}: `0 < {name} <= 1e+75` must hold, got {cell}")
         for name in TABLE_1.names
-        for cell in ("0", "-0.1")
-    },
-    **{
-        f"{name} of 1e308": (_with(name, "1e308"), f"column {name}: `{name} <= 1e+75` must hold, got 1e+308")
-        for name in TABLE_1.names
+        for cell in ("0", "-0.1", "1e+308")
     },
     "text": (_with("mu", "rough"), "column mu: must be a number, got 'rough'"),
-    "nan": (_with("A_p", "nan"), "column A_p: must be finite, got 'nan'"),
+    "nan": (_with("A_p", "nan"), "column A_p: must be a finite number, got 'nan'"),
     "dish more than a hemisphere": (_with("D_tot", "20"), "D_tot, h_sl_ratio, h_rim_ratio: A dish must be less"),
     "slider higher than the sphere": (
         _with("h_sl_ratio", "90"),
@@ -135,7 +131,7 @@ def test_a_design_that_is_no_bearing_is_refused_by_row_line_rule_and_value_and_n
     with pytest.raises(InputError) as refused:
         simulate_table(source, tmp_path / "out.csv", Model(), Tolerance(), lambda n: began.append)  # type: ignore[arg-type,return-value]
     message = str(refused.value)
-    assert message.startswith(f"{source}: row 3 (line 4), ")
+    assert message.startswith(f"{source}: row 3 (line 4)")
     assert says in message
     assert message.endswith(".")
     assert not message.endswith("..")
@@ -207,7 +203,7 @@ def test_designs_outside_the_space_are_predicted_and_counted(ran: Run, tmp_path:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("x,y\n0,20\n0,nan\n", "row 2 (line 3), column y: must be finite, got 'nan'"),
+        ("x,y\n0,20\n0,nan\n", "row 2 (line 3), column y: must be a finite number, got 'nan'"),
         ("x,y\n0,20\nright,20\n", "row 2 (line 3), column x: must be a number, got 'right'"),
         ("x\n0\n", "column 'y': required, but missing; the required columns are x,y"),
         ("x,y,p_broken\n0,20,1\n", "column 'p_broken': would be overwritten by the output; rename or remove it"),

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Baseline, baseline, plan_estimate
+from activefail.reliability.estimate import baseline, plan_estimate
+from activefail.reliability.integral import OfBoundary
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
@@ -204,7 +205,7 @@ def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
     def of(X: Array) -> Array:
         return (X[:, 0] - limit) / 0.001
 
-    integral = Baseline(float((rows.X[:, 0] > limit).mean()), 0.0)
+    integral = OfBoundary(float((rows.X[:, 0] > limit).mean()), 0.0, 0.0)
     plan = plan_wide_strata(of, rows, integral, 300, np.random.default_rng(0))
     assert plan is not None
     assert plan.standard_error == 0.0
@@ -214,7 +215,7 @@ def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
 
 
 def test_an_outcome_rarer_than_one_in_a_thousand_has_no_strata() -> None:
-    assert plan_wide_strata(rare_latent(8e-4), SPACE, Baseline(8e-4, 0.0), 100, np.random.default_rng(0)) is None
+    assert plan_wide_strata(rare_latent(8e-4), SPACE, OfBoundary(8e-4, 0.0, 0.0), 100, np.random.default_rng(0)) is None
 
 
 def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:

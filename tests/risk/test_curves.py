@@ -12,7 +12,8 @@ from scipy.special import ndtr, ndtri
 
 from activefail.campaign.question import Question
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Baseline, ProbabilityEstimate, plan_estimate
+from activefail.reliability.estimate import ProbabilityEstimate, plan_estimate
+from activefail.reliability.integral import OfBoundary
 from activefail.risk.fragility.band import (
     NOT_VERIFIED,
     VerifiedLevel,
@@ -40,7 +41,7 @@ FALLING = Curve(LADDER, 1.0 - CURVE.probability, 0.001)
 
 
 def estimated(p: float, half: float, m: int = 30) -> ProbabilityEstimate:
-    return ProbabilityEstimate(p, max(0.0, p - half), min(1.0, p + half), 0.95, p, m, 0, 3, 0, 0, 1.0, 1.0)
+    return ProbabilityEstimate(p, max(0.0, p - half), min(1.0, p + half), 0.95, 1.0, 1.0, m, 0, 3, 0, 0, "")
 
 
 @pytest.mark.parametrize("p", [0.025, 0.1, 0.5])
@@ -182,7 +183,7 @@ def test_an_interval_includes_the_error_of_the_sequences() -> None:
 
     question = as_rows(Question.of_space(space).at({"x": 0.5}))
     assert isinstance(question.space, WeightedRows)
-    of_classifier = Baseline(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0)
+    of_classifier = OfBoundary(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0, 0.0)
     rng = np.random.default_rng(0)
     plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, of_classifier, 30, rng)
     right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error=error_of_rows(disc, question)).estimate(0.95)

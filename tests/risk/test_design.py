@@ -19,6 +19,7 @@ from activefail.distributions import moments
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.parameter import Parameter
+from activefail.reliability.estimate import AllRows
 from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.report.design import render_design
 from activefail.risk.classifier_probability import classifier_probability
@@ -29,7 +30,7 @@ from activefail.risk.design.search import Candidate, Designed, Look, cheapest, f
 from activefail.run import Run
 from activefail.shares import percent
 from activefail.space import Array, DesignSpace
-from activefail.verification.confidence_bounds import largest_unseen_share
+from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Sampled
 
 CAMPAIGN = """
@@ -309,12 +310,12 @@ def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> N
 def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:
     question = question_of()
     sampled = MadeEstimator(1.0, 0.1, 0).sample("failure", 100, question)
-    count, volume = sampled.plan.surest
+    plan = sampled.plan
+    count, volume = plan.surest
     assert count >= 10
-    for is_complete, unseen in ((True, 0.0), (False, volume * largest_unseen_share(count, 0.96))):
-        look = Look(
-            Candidate({"capacity": 2.0}, np.array([0.1]), True), (replace(sampled, is_complete=is_complete),), 0.96
-        )
+    of_all = AllRows(plan.designs, plan.ratio, plan.standardised)
+    for of, unseen in ((of_all, 0.0), (plan, volume * upper_bound(0, count, 0.96))):
+        look = Look(Candidate({"capacity": 2.0}, np.array([0.1]), True), (replace(sampled, plan=of),), 0.96)
         assert Designed(task_of(question), (look,), 1, "verified").missable == pytest.approx(unseen)
 
 

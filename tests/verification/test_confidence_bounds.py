@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta, binom
 
-from activefail.verification.confidence_bounds import StratifiedCount, largest_unseen_share
+from activefail.verification.confidence_bounds import StratifiedCount, upper_bound
 from activefail.verification.error import confidence_of_look
 
 ALL_SAFE = ([1.0, 0.0, 0.0, 0.0, 0.0], [1, 0, 0, 0, 0])
@@ -27,7 +27,7 @@ def test_in_one_part_both_bounds_are_the_exact_ones_of_clopper_and_pearson(n, x)
 def test_where_none_of_ninety_was_wrong_the_bound_is_the_exact_one():
     parts = count(ALL_SAFE[0], [90, 0, 0, 0, 0], [0] * 5)
     assert (parts.lower(0.95), parts.upper(0.95)) == (0.0, pytest.approx(1.0 - 0.05 ** (1 / 90)))
-    assert parts.upper(0.9) == pytest.approx(largest_unseen_share(90)) == pytest.approx(0.02526, abs=1e-5)
+    assert parts.upper(0.9) == pytest.approx(upper_bound(0, 90, 0.9)) == pytest.approx(0.02526, abs=1e-5)
     # No narrower than that where the other parts are small and known, too.
     assert count(RARE[0], [90, 5, 5, 5, 5], [0] * 5).upper(0.95) > 0.97 * (1.0 - 0.05 ** (1 / 90))
 
@@ -113,8 +113,8 @@ def test_all_looks_together_may_be_wrong_no_more_often_than_one_alone():
 
 def test_what_was_never_seen_in_n_draws_may_have_the_probability_that_leaves_one_chance_in_ten():
     for n in (1, 30, 250):
-        assert (1.0 - largest_unseen_share(n)) ** n == pytest.approx(0.1)
-    assert largest_unseen_share(0) == 1.0
+        assert (1.0 - upper_bound(0, n, 0.9)) ** n == pytest.approx(0.1)
+    assert upper_bound(0, 0, 0.9) == 1.0
     # Where some gave no answer each of them may have been it.
-    assert largest_unseen_share(58, 0.9, 2) == pytest.approx(beta.ppf(0.9, 3, 58))
-    assert largest_unseen_share(58, 0.9, 2) > 0.08
+    assert upper_bound(2, 60, 0.9) == pytest.approx(beta.ppf(0.9, 3, 58))
+    assert upper_bound(2, 60, 0.9) > 0.08

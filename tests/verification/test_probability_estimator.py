@@ -13,7 +13,7 @@ from activefail.loop.learning import current
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.verification.probability_estimator import Estimator, stored_estimate
+from activefail.verification.probability_estimator import Estimator
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,12 @@ def test_the_same_fresh_simulations_answer_for_all_outcomes_and_no_worse_one_is_
     with ThreadExecutor(1) as executor:
         run(campaign, store, executor, 60)
         classifier = current(campaign, store, write=False).classifier
-        common = campaign, store, classifier, History.of(store.batches).last_iteration
-        estimator = Estimator(campaign, store, executor, *common[2:])
+        estimator = Estimator(campaign, store, executor, classifier, History.of(store.batches).last_iteration)
         for draw in (0, 4):
             asked = question.drawn(draw) if draw else question
             failure, impact = (estimator.sample(one, 40, asked).estimate(0.9) for one in ("failure", "impact"))
             assert failure.probability <= impact.probability
             assert failure.low <= impact.low
             assert failure.high <= impact.high
-            assert stored_estimate(*common, "impact", 0.9, asked) == impact
+            assert estimator.stored("impact", asked, 0.9) == impact
     assert set(store.set_names()) == {"probability-1-0-40-0"}

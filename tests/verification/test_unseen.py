@@ -10,8 +10,9 @@ from commandline import activefail
 from rare import four_branch
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.settings import parse_settings
+from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.progress import Observer
@@ -20,7 +21,7 @@ from activefail.loop.running import run
 from activefail.opening import create_run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.verification.unseen import unseen_outcomes, unseen_warning
+from activefail.verification.unseen import unseen_outcomes
 
 
 class FourBranch:
@@ -84,11 +85,9 @@ def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a
 
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
-    extra = "stop = { error = 0.05, simulations = 100, every = 1 }\n"
-    extra += "sampling.asynchronous = true" if asynchronous else ""
-    campaign = campaign_on(NeverFails(), budget=40, extra=extra.replace("sampling.asynchronous = true", ""))
-    if asynchronous:
-        campaign = Campaign.of(campaign.settings.changed({"sampling.asynchronous": True}), simulator=NeverFails())
+    campaign = campaign_on(NeverFails(), budget=40, extra="stop = { error = 0.05, simulations = 100, every = 1 }")
+    settings = campaign.settings.changed({"sampling.asynchronous": asynchronous})
+    campaign = Campaign.of(settings, simulator=NeverFails())
     store, seen = taken(campaign)
     assert sum(len(batch) for batch in store.batches) == 40
     assert store.set_names() == []
@@ -112,30 +111,24 @@ def test_the_same_campaign_searches_at_the_same_designs_again(searched):
         assert np.array_equal(a.designs, b.designs)
 
 
+def warning(outcomes, initial, chosen):
+    counts = (np.array([*numbers], dtype=np.int64) for numbers in (initial, chosen, [0] * len(initial)))
+    return Summary(CampaignSettings(), outcomes, 1, *counts, (), 0).unseen_warning
+
+
 def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
     counts = np.array([20, 0, 5, 3])
     assert unseen_outcomes(("no_impact", "impact", "failure"), counts) == ("impact",)
-    assert unseen_warning((), 25, 20) == ""
-    text = unseen_warning(("failure",), 40, 30)
-    assert "None of the campaign's 40 simulations ended in failure." in text
+    two = ("safe", "failure")
+    assert warning(two, (20, 5, 0), (0, 0, 0)) == warning(two, (0, 0, 0), (0, 0, 0)) == ""
+    text = warning(two, (30, 0, 0), (10, 0, 0))
+    assert "None of the campaign's 40 simulations ended in failure. Its probability" in text
     assert "7.4 %" in text  # 1 − 0.1^(1/30)
-    assert "100 %" in unseen_warning(("failure",), 3, 0)
-
-
-@pytest.mark.parametrize(
-    ("unseen", "failures", "says"),
-    [
-        (
-            ("failure",),
-            0,
-            "initial designs without it). Until one of them does, no classifier can know where failure begins.",
-        ),
-        (("failure",), 1, "without it and 1 numerical failure)"),
-        (("impact", "failure"), 2, "without them and 2 numerical failures)"),
-    ],
-)
-def test_the_warning_counts_outcomes_and_numerical_failures_in_the_right_number(unseen, failures, says):
-    assert says in unseen_warning(unseen, 40, 30, failures)
+    assert "without it). Until one of them does, no classifier can know where failure begins." in text
+    assert "100 %" in warning(two, (0, 0, 0), (3, 0, 0))
+    # A numerical failure may be one.
+    assert "without it and 1 numerical failure)" in warning(two, (30, 0, 1), (10, 0, 0))
+    assert "without them and 2 numerical failures)" in warning(("safe", "impact", "failure"), (30, 0, 0, 2), (0,) * 4)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import LOOKS, DesignTask, confidence_of_bound
 from activefail.space import Array
-from activefail.verification.confidence_bounds import largest_unseen_share
+from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Estimator, Sampled
 
 _GRID = 13
@@ -149,9 +149,8 @@ class Designed:
         """
         shares = [0.0]
         for sampled in self.result.sampled:
-            if not sampled.is_complete:
-                count, share = sampled.plan.surest
-                shares.append(share * largest_unseen_share(count, self.result.of_bound))
+            count, share = sampled.plan.surest
+            shares.append(share * upper_bound(0, count, self.result.of_bound))
         return min(1.0, max(shares))
 
     @property
