@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from activefail.campaign.known_code import known_code
-from activefail.campaign.sections import Variable
 from activefail.campaign.settings import read_settings
 from activefail.findings.learned_from import LearnedFrom, saved_choices
-from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
+from activefail.findings.summary import Summary, features_in_words, where_lost
 from activefail.loop.history import History
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
@@ -33,7 +32,6 @@ class Status:
         folder: the run folder.
         summary: of its campaign.
         margins: names of the simulator's margins.
-        corrected: number of corrections.
         lost: where runs gave no result; empty if all gave one.
         warnings: of its record; empty if it is intact.
         state: saved after the last iteration; empty if none was.
@@ -44,7 +42,6 @@ class Status:
     folder: Path
     summary: Summary
     margins: tuple[str, ...]
-    corrected: int
     lost: str
     warnings: tuple[str, ...]
     state: Mapping[str, Any]
@@ -54,25 +51,9 @@ class Status:
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts, the campaign's description first, then what is known of a probability."""
-        summary, settings = self.summary, self.summary.settings
-        variables = sum(isinstance(one, Variable) for one in settings.space.values())
-        done = f"{summary.done} of {settings.sampling.budget} simulations"
-        if summary.done > settings.sampling.budget:
-            done = f"{summary.done} simulations, {settings.sampling.budget} planned"
-        names = (*summary.outcomes, "numerical failures")
-        lines = [
-            ("campaign", visible(settings.description or self.folder.name)),
-            *self.estimate,
-            ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
-            ("learner", self._learner),
-            ("done", f"{done}, iteration {summary.iteration}"),
-        ]
-        for title, counts in summary.origins.items():
-            if title != "given" or counts.any():
-                lines.append((title, ", ".join(f"{n} {name}" for n, name in zip(counts, names, strict=True))))
-        if self.corrected:
-            lines.append(("corrected", f"{self.corrected} correction{'' if self.corrected == 1 else 's'}"))
-        return [*lines, *([("in flight", flight)] if (flight := summary.flight_in_words) else []), *self.learned]
+        campaign = visible(self.summary.settings.description or self.folder.name)
+        lines = [(title, self._learner if title == "learner" else text) for title, text in self.summary.lines]
+        return [("campaign", campaign), *self.estimate, *lines, *self.learned]
 
     def as_json(self) -> dict[str, Any]:
         """The state as JSON values; `docs/reference/json.md` describes the keys."""
@@ -89,7 +70,7 @@ class Status:
             "counts": counts,
             "never_seen": list(unseen_outcomes(summary.outcomes, summary.counts)),
             "in_flight": list(summary.in_flight),
-            "corrected": self.corrected,
+            "corrected": summary.corrected,
             "stop_rule_met": self._rule_is_met,
             "estimates": {
                 outcome: {name: one for name, one in numbers.items() if isinstance(one, str | int | float | None)}
@@ -108,13 +89,7 @@ class Status:
     @property
     def _learner(self) -> str:
         """What is learned and where, in words."""
-        settings = self.summary.settings
-        targets = " and ".join(
-            f"the {visible(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
-            for name, share in settings.acquisition.boundaries.items()
-        )
-        features = f"on {features_in_words(settings)} features"
-        line = f"{settings.classifier.kernel} {features}, {settings.acquisition.criterion} at {targets}"
+        line, features = self.summary.learner, f"on {features_in_words(self.summary.settings)} features"
         margins = [one.margin for one in self._choices]
         names = " and ".join(dict.fromkeys(f"the margin {visible(margin)}" for margin in margins if margin))
         if not names:
@@ -221,7 +196,8 @@ def read_status(folder: Path) -> Status:
     settings = read_settings(folder / SETTINGS)
     with FolderStore.open(folder, write=False) as store:
         history = History.of(store.batches)
-        summary, schema = Summary.of(settings, store.schema, history, store.asked), store.schema
+        schema, corrected = store.schema, len(store.corrections.place)
+        summary = Summary.of(settings, schema, history, store.asked, corrected)
         saved, iteration = store.latest_state(), summary.iteration
         state = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in schema.outcomes[1:]}
@@ -232,7 +208,6 @@ def read_status(folder: Path) -> Status:
             folder,
             summary,
             schema.margins,
-            len(store.corrections.place),
             where_lost(schema.variables, history.designs, ~history.answered),
             store.new_warnings(),
             state,

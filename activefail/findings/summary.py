@@ -12,6 +12,7 @@ from activefail.campaign.sections import (
     ExpressionFeaturesSettings,
     PythonFeaturesSettings,
     PythonSimulatorSettings,
+    Variable,
 )
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
@@ -93,6 +94,7 @@ class Summary:
             campaign chose, and those that it did not ask for, by outcome, numerical failures last.
         in_flight: ids of the designs in flight.
         elsewhere: how many of them are simulated elsewhere.
+        corrected: number of corrections.
     """
 
     settings: CampaignSettings
@@ -103,6 +105,7 @@ class Summary:
     given: NDArray[np.int64]
     in_flight: tuple[int, ...]
     elsewhere: int
+    corrected: int = 0
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -118,6 +121,38 @@ class Summary:
     def origins(self) -> dict[str, NDArray[np.int64]]:
         """The simulations by origin, and all."""
         return {"initial": self.initial, "chosen": self.chosen, "given": self.given, "all": self.counts}
+
+    @property
+    def learner(self) -> str:
+        """What is learned from outcomes, and where, in words."""
+        settings = self.settings
+        targets = " and ".join(
+            f"the {visible(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
+            for name, share in settings.acquisition.boundaries.items()
+        )
+        features = features_in_words(settings)
+        return f"{settings.classifier.kernel} on {features} features, {settings.acquisition.criterion} at {targets}"
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Titles and texts that `activefail status` prints."""
+        settings = self.settings
+        variables = sum(isinstance(one, Variable) for one in settings.space.values())
+        done = f"{self.done} of {settings.sampling.budget} simulations"
+        if self.done > settings.sampling.budget:
+            done = f"{self.done} simulations, {settings.sampling.budget} planned"
+        names = (*self.outcomes, "numerical failures")
+        lines = [
+            ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
+            ("learner", self.learner),
+            ("done", f"{done}, iteration {self.iteration}"),
+        ]
+        for title, counts in self.origins.items():
+            if title != "given" or counts.any():
+                lines.append((title, ", ".join(f"{n} {name}" for n, name in zip(counts, names, strict=True))))
+        corrected = f"{self.corrected} correction{'' if self.corrected == 1 else 's'}" if self.corrected else ""
+        more = [("corrected", corrected), ("in flight", self.flight_in_words)]
+        return lines + [(title, text) for title, text in more if text]
 
     @property
     def flight_in_words(self) -> str:
@@ -147,12 +182,13 @@ class Summary:
         )
 
     @classmethod
-    def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked) -> Self:
+    def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked, corrected: int = 0) -> Self:
         """The summary of a campaign's simulations and the designs that were handed out.
 
         Args:
             settings: of the campaign.
             schema, history, asked: of the record.
+            corrected: number of its corrections.
         """
         flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
         initial, given = history.initial, history.origin == GIVEN
@@ -165,6 +201,7 @@ class Summary:
             _counts(history[given], outcomes),
             tuple(flight.id.tolist()),
             int((flight.loop == 0).sum()),
+            corrected,
         )
 
 
