@@ -50,9 +50,7 @@ def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
         lengths = np.maximum([[estimate.probability - low], [estimate.high - estimate.probability]], 0.0)
         label = f"{estimate.simulations} fresh simulations, {100.0 * estimate.confidence:g} % interval"
         axes.errorbar([n[-1]], [estimate.probability], lengths, color=VERMILION, marker="D", capsize=4, label=label)
-    if not failure.is_rare:
-        axes.set_ylim(0.0, min(1.0, axes.get_ylim()[1]))
-    else:
+    if failure.is_rare:
         axes.set_yscale("log")
         if positive.any():
             # An interval that spans many decades before the first failures must not flatten the rest.
