@@ -1,8 +1,11 @@
 """The design space: named variables with their joint distribution, and samples of it."""
 
+import signal
+import threading
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +31,29 @@ def radius(outside: float, dimension: int) -> float:
     from scipy.stats import chi
 
     return float(chi.isf(outside, dimension))
+
+
+@cache
+def _read_direction_numbers() -> None:
+    """Have SciPy read the direction numbers of Sobol' sequences, once, before the first sample.
+
+    SciPy loses a Ctrl-C that arrives meanwhile, and that sample is wrong. So it arrives afterwards.
+    """
+    from scipy.stats import qmc
+
+    missed: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    # Only the main thread handles signals.
+    defers = threading.current_thread() is threading.main_thread() and callable(before)
+    if defers:
+        signal.signal(signal.SIGINT, lambda number, _: missed.append(number))
+    try:
+        qmc.Sobol(1)
+    finally:
+        if defers:
+            signal.signal(signal.SIGINT, before)
+    if missed:
+        signal.raise_signal(signal.SIGINT)
 
 
 @dataclass(frozen=True)
@@ -163,6 +189,7 @@ class DesignSpace:
         """n designs of a scrambled Sobol' sequence, shape (n, d); n is a power of two."""
         from scipy.stats import qmc
 
+        _read_direction_numbers()
         return self.from_unit(qmc.Sobol(self.dimension, rng=rng).random(n))
 
     def pick(self, columns: Sequence[Any], names: Sequence[str]) -> list[Any]:

@@ -1,6 +1,7 @@
 """The design space: samples that are what they are called, and bounds that hold to the last bit."""
 
 import math
+import signal
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.stats import qmc
 
+from activefail import space
 from activefail.bearing import TABLE_1
 from activefail.errors import InputError
 from activefail.parameter import Parameter
@@ -199,3 +202,23 @@ def test_table_1_is_the_papers() -> None:
         "A_p": (0.1, 0.8, "g"),
     }
     assert {p.name: (p.low, p.high, p.unit) for p in TABLE_1.parameters} == rows
+
+
+def test_a_ctrl_c_while_scipy_reads_its_direction_numbers_arrives_afterwards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+
+    class Struck(qmc.Sobol):  # type: ignore[misc]
+        def __init__(self, *given: Any, **options: Any) -> None:
+            signal.raise_signal(signal.SIGINT)
+            made.append(given)
+            super().__init__(*given, **options)
+
+    monkeypatch.setattr(qmc, "Sobol", Struck)
+    space._read_direction_numbers.cache_clear()
+    with pytest.raises(KeyboardInterrupt):
+        TABLE_1.sobol(8, np.random.default_rng(0))
+    assert made == [(1,)]
+    monkeypatch.undo()
+    assert np.ptp(TABLE_1.sobol(8, np.random.default_rng(0)), axis=0).all()
