@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,7 +89,8 @@ class RecordSet:
         if self.unused:
             notes.append(f"{TABLE} names {self.unused} vertical components, which only --vertical uses.")
         if self.left_out:
-            notes.append(f"{TABLE} leaves out {_some(self.left_out)}.")
+            more = f" and {len(self.left_out) - _SHOWN} more" if len(self.left_out) > _SHOWN else ""
+            notes.append(f"{TABLE} leaves out {', '.join(self.left_out[:_SHOWN])}{more}.")
         first: dict[bytes, Accelerogram] = {}
         doubtful = []
         for motion in (record.motion for record in self.records):
@@ -217,9 +217,3 @@ def _table(path: Path) -> Table:
         if name in names[:row]:
             raise InputError(f"{table.places[row]}: file: {name} is in an earlier row already.")
     return table
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first of the names, and how many more there are."""
-    rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + rest

@@ -338,11 +338,3 @@ def test_with_several_target_boundaries_each_is_named_with_its_share(tmp_path: P
         "seeking    the boundary of failure (75 %) and the boundary of impact (25 %) "
         "(outcomes from least to most severe: no_impact, impact, failure)"
     )
-
-
-def test_outcomes_in_the_wrong_order_are_refused(tmp_path: Path) -> None:
-    home = folder_of(tmp_path)
-    text = (home / "model.toml").read_text()
-    (home / "model.toml").write_text(text.replace("{ python", '{ outcomes = ["failure", "safe"], python', 1))
-    words = ("run", home / "model.toml", "--out", home / "run", "--workers", "1", "--budget", "12")
-    refused(activefail(*words), "simulator.outcomes: the least severe outcome must come first, but 'safe' is the last")

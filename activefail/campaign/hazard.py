@@ -13,7 +13,7 @@ from activefail.bearing.pulse import VELOCITY_PERIOD
 from activefail.campaign.hazard_sections import HazardSettings, MagnitudeSection
 from activefail.campaign.pulse_table import read_pulses, velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question, asked_of, check_names, check_pulse
-from activefail.campaign.settings import checked, parse_toml, read_text
+from activefail.campaign.settings import checked, read_toml
 from activefail.correlation import correlation_of_values
 from activefail.distributions import moments, quantiles_at
 from activefail.errors import InputError, naming
@@ -157,13 +157,12 @@ class Hazard:
     def _pulses_of_rows(self, rows: WeightedRows, pgv: float | None) -> tuple[WeightedRows, dict[str, float]]:
         periods, added = rows.column(PERIOD), self.added_dispersion
         sizes = velocities(rows) if pgv is None else np.full(len(periods), pgv)
-        if pgv is not None and added == 0.0:
-            one = WeightedRows((PERIOD,), periods[:, None], rows.weight, rows.is_sample)
-            return one, {PGV: pgv * math.exp(-self.bias)}
         if added == 0.0:
             felt = sizes * math.exp(-self.bias)
-            both = np.column_stack([periods, felt])
-            return WeightedRows((PERIOD, PGV), both, rows.weight, rows.is_sample), {}
+            if pgv is not None:
+                one = WeightedRows((PERIOD,), periods[:, None], rows.weight, rows.is_sample)
+                return one, {PGV: pgv * math.exp(-self.bias)}
+            return WeightedRows((PERIOD, PGV), np.column_stack([periods, felt]), rows.weight, rows.is_sample), {}
         row, z = _spread(sizes, periods)
         X = np.column_stack([periods[row], sizes[row] * np.exp(added * z - self.bias)])
         return WeightedRows((PERIOD, PGV), X, rows.weight[row], is_sample=True), {}
@@ -240,7 +239,7 @@ def read_hazard(path: Path) -> Hazard:
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    return hazard_of(parse_toml(read_text(path), str(path)), path)
+    return hazard_of(read_toml(path), path)
 
 
 def hazard_of(values: dict[str, Any], path: Path) -> Hazard:

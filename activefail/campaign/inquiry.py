@@ -8,8 +8,9 @@ from pathlib import Path
 from activefail.acquisition.population import integration_points
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question, question_of, question_with, values_of
-from activefail.campaign.settings import parse_toml, read_text
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question, question_in, question_of, values_of
+from activefail.campaign.sections import QuestionSettings
+from activefail.campaign.settings import checked, read_toml
 from activefail.errors import InputError, naming
 from activefail.files import path_of
 from activefail.simulators.interface import Simulator
@@ -130,8 +131,12 @@ def read_question(path: Path, space: DesignSpace, fixed: Mapping[str, float]) ->
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    values = parse_toml(read_text(path), str(path))
-    return hazard_of(values, path) if is_of_hazard(values) else question_with(values, path, space, fixed)
+    values = read_toml(path)
+    if is_of_hazard(values):
+        return hazard_of(values, path)
+    section = checked(QuestionSettings, values, str(path))
+    with naming(f"{path}: "):
+        return question_in(section, path.stem, space, fixed)
 
 
 def check_designs_of(question: Question, simulator: Simulator, source: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
 from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable, shown
-from activefail.campaign.settings import checked, parse_toml, read_text
+from activefail.campaign.settings import read_toml
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
 from activefail.shares import percent
@@ -232,17 +232,6 @@ def _outwards(value: float, side: float) -> float:
     return float(f"{side * math.ceil(side * value / digit) * digit:.6g}")
 
 
-def question_with(values: dict[str, Any], path: Path, space: DesignSpace, fixed: Mapping[str, float]) -> Question:
-    """The question with these values of a question file.
-
-    Raises:
-        InputError: naming the file, the key, the rule and the value.
-    """
-    section = checked(QuestionSettings, values, str(path))
-    with naming(f"{path}: "):
-        return _question(section, path.stem, space, fixed)
-
-
 def question_of(
     section: QuestionSettings | None, space: DesignSpace, fixed: Mapping[str, float] | None = None
 ) -> Question:
@@ -254,7 +243,7 @@ def question_of(
     if section is None:
         return asked_of(_OF_CAMPAIGN, space, {}, fixed) if fixed else Question.of_space(space)
     with naming("question."):
-        return _question(section, "the campaign's question", space, fixed or {})
+        return question_in(section, "the campaign's question", space, fixed or {})
 
 
 def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[str, float]:
@@ -264,7 +253,7 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
         InputError: naming the file; if a name is not a variable of the campaign, or a value is not a number.
     """
     if isinstance(given, str | Path):
-        values = parse_toml(read_text(Path(given)), str(given))
+        values = read_toml(Path(given))
         with naming(f"{given}: "):
             return values_of(values, space)
     if given is None:
@@ -362,7 +351,18 @@ def has_pulse(space: DesignSpace) -> bool:
     return True
 
 
-def _question(section: QuestionSettings, title: str, space: DesignSpace, further: Mapping[str, float]) -> Question:
+def question_in(section: QuestionSettings, title: str, space: DesignSpace, further: Mapping[str, float]) -> Question:
+    """The question of a section.
+
+    Args:
+        section: what the file says.
+        title: in words, if the section has no description.
+        space: of the campaign.
+        further: values of variables.
+
+    Raises:
+        InputError: naming the key, the rule and the value.
+    """
     for name, entry in section.space.items():
         _check_variable(name, entry, space)
     if PGV in section.space and AMPLITUDE in {*section.space, *further}:

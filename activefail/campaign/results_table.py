@@ -86,31 +86,21 @@ class ResultTable:
                 texts.append(f"{self.table.name}column {name!r} is ignored; {close[0]!r} is missing.")
         if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
             return texts
-        name, worst = simulator.margins[0], len(simulator.outcomes) - 1
+        name, worst = simulator.margins[0], simulator.outcomes[-1]
         outcome, margin = self.results.outcome, self.results.margins[:, 0]
-        infinite = np.isinf(margin) & (outcome >= 0)
-        if infinite.any():
-            value = float(margin[int(np.argmax(infinite))])
-            texts.append(f"{self._place(infinite)}: {name} is {value}; no boundary can be learned from it.")
-        lacking = np.isnan(margin) & (outcome >= 0) & (outcome < worst)
-        if lacking.any():
-            texts.append(
-                f"{self._place(lacking)}: {name} is missing. A boundary is learned from a margin only if all "
-                f"simulations less severe than {simulator.outcomes[worst]} have it."
-            )
-        wrong = (sum((margin <= level).astype(np.int64) for level in levels) != outcome) & ~np.isnan(margin)
-        wrong &= outcome >= 0
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            texts.append(
-                f"{self._place(wrong)}: {name} {float(margin[row])!r} contradicts the outcome "
-                f"{simulator.outcomes[outcome[row]]}."
-            )
+        by_margin = sum((margin <= level).astype(np.int64) for level in levels)
+        rules = {
+            f"{name} is {{margin}}; no boundary can be learned from it.": np.isinf(margin),
+            f"{name} is missing. A boundary is learned from a margin only if all simulations less severe than {worst} "
+            "have it.": np.isnan(margin) & (outcome < len(simulator.outcomes) - 1),
+            f"{name} {{margin!r}} contradicts the outcome {{outcome}}.": (by_margin != outcome) & ~np.isnan(margin),
+        }
+        for text, breaks in rules.items():
+            if (breaks & (outcome >= 0)).any():
+                row = int(np.argmax(breaks & (outcome >= 0)))
+                said = text.format(margin=float(margin[row]), outcome=simulator.outcomes[outcome[row]])
+                texts.append(f"{self.table.places[row]}: {said}")
         return texts
-
-    def _place(self, rows: NDArray[np.bool_]) -> str:
-        """How messages name the first of the marked results, (n,)."""
-        return self.table.places[int(np.argmax(rows))]
 
     def check_handed_out(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
         """Check that no design was changed since it was handed out.

@@ -276,11 +276,11 @@ _LARGEST_FILE = 10_000_000
 """Most bytes of a TOML file."""
 
 
-def read_text(path: Path) -> str:
-    """The text of a TOML file.
+def read_toml(path: Path) -> dict[str, Any]:
+    """The values of a TOML file.
 
     Raises:
-        InputError: if the file cannot be read, is too large or is not UTF-8.
+        InputError: if the file cannot be read, is too large, or is not UTF-8 or TOML.
     """
     try:
         with path.open("rb") as file:
@@ -288,11 +288,12 @@ def read_text(path: Path) -> str:
             data = file.read(_LARGEST_FILE + 1)
         if len(data) > _LARGEST_FILE:
             raise InputError(f"{path}: cannot be read: it is larger than {_LARGEST_FILE} bytes.")
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
+    return parse_toml(text, str(path))
 
 
 def parse_settings(text: str, source: str) -> CampaignSettings:
@@ -314,4 +315,4 @@ def read_settings(path: Path) -> CampaignSettings:
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
     """
-    return parse_settings(read_text(path), str(path))
+    return checked(CampaignSettings, read_toml(path), str(path))

@@ -1,11 +1,10 @@
 """The campaigns that come with activefail, by name: `paper` stands for the file paper.toml."""
 
 import shutil
-import tomllib
 from pathlib import Path
 
 import activefail
-from activefail.campaign.settings import read_text
+from activefail.campaign.settings import read_toml
 from activefail.errors import InputError
 from activefail.files import writing_to
 
@@ -30,7 +29,7 @@ def description_of(file: Path) -> str:
     Raises:
         InputError: if the file cannot be read.
     """
-    return str(tomllib.loads(read_text(file)).get("description", ""))
+    return str(read_toml(file).get("description", ""))
 
 
 def campaign_file(name_or_path: Path) -> Path:
