@@ -258,12 +258,19 @@ def checked(section: type[SectionType], values: dict[str, Any], source: str) -> 
         raise InputError("\n".join([f"{source}:", *rules, *rest])) from None
 
 
+_MOST_DOTS = 200
+"""Most dots in a line of TOML: the time to parse a dotted key grows with the square of their number."""
+
+
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """The values of TOML.
 
     Raises:
         InputError: naming the source and the fault.
     """
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MOST_DOTS:
+            raise InputError(f"{source}: line {number}: must have at most {_MOST_DOTS} dots, has {line.count('.')}")
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -542,6 +542,22 @@ def test_a_journal_that_is_no_file_is_refused(received: Path) -> None:
 # --- names and limits --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    "line", ["a" + ".a" * 40_000 + " = 1", "[a" + ".a" * 200_000 + "]", "x = {a" + ".a" * 9_000 + " = 1}"]
+)
+def test_a_key_of_thousands_of_parts_is_refused_at_once(
+    sent: Path, tmp_path: Path, line: str, survived: Survived
+) -> None:
+    folder = Path(shutil.copytree(sent, tmp_path / "run"))
+    settings = folder / "campaign.toml"
+    settings.write_text(f"{settings.read_text()}\n{line}\n")
+    for command in (("status", folder), ("export", folder, "--csv", tmp_path / "out.csv")):
+        result = activefail(*command)
+        assert result.code == 2
+        assert "must have at most 200 dots" in result.err
+    survived(1)
+
+
 def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spelling(
     sent: Path, tmp_path: Path, survived: Survived
 ) -> None:
