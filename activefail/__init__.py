@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from activefail.risk.ida.p695 import MarginRequest
     from activefail.run import Run
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "TABLE_1",

@@ -1,4 +1,4 @@
-"""Arithmetic expressions in campaign files: parsed without running code, evaluated on arrays of any library."""
+"""Arithmetic expressions in campaign files: parsed without running code, evaluated on NumPy arrays."""
 
 import ast
 import operator
@@ -43,7 +43,7 @@ class Expression:
     _tree: ast.expr
 
     def __call__(self, quantities: Mapping[str, Any]) -> Any:
-        """The value for numbers, or for arrays of NumPy or torch."""
+        """The value for numbers or arrays."""
         return _value(self._tree, {**CONSTANTS, **{parsed_name(name): value for name, value in quantities.items()}})
 
 
@@ -130,14 +130,5 @@ def _value(node: ast.expr, quantities: Mapping[str, Any]) -> Any:
         case ast.UnaryOp(op=op, operand=operand):
             return _OPERATORS[type(op)](_value(operand, quantities))
         case ast.Call(func=ast.Name(id=function), args=arguments):
-            return _call(function, [_value(argument, quantities) for argument in arguments])
+            return getattr(np, function)(*(_value(argument, quantities) for argument in arguments))
     raise AssertionError(ast.dump(node))
-
-
-def _call(function: str, arguments: list[Any]) -> Any:
-    tensor = next((argument for argument in arguments if hasattr(argument, "requires_grad")), None)
-    if tensor is None:
-        return getattr(np, function)(*arguments)
-    import torch
-
-    return getattr(torch, function)(*(torch.as_tensor(argument, dtype=tensor.dtype) for argument in arguments))

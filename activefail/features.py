@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,22 +25,12 @@ PAPER_LOGARITHMIC = (True, True, True, False, False, True)
 """Whether each enters as its logarithm: the ratios that span decades over Table 1."""
 
 
-def _paper_formula(columns: Sequence[Any]) -> list[Any]:
-    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = columns
-    pulse_displacement = A_p * GRAVITY * (T_p / (2.0 * np.pi)) ** 2
-    return [
-        pulse_displacement / D_tot,
-        T_b / T_p,
-        mu / A_p,
-        h_sl_ratio,
-        h_rim_ratio,
-        k / (p * 1e6 * pulse_displacement**0.5),
-    ]
-
-
 def paper_features(X: Array) -> Array:
     """The paper's six features (section 3.1) of designs in Table 1's order and units, (n, 9) -> (n, 6), SI units."""
-    return np.column_stack(_paper_formula(list(np.asarray(X).T)))
+    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = np.asarray(X).T
+    pulse_displacement = A_p * GRAVITY * (T_p / (2.0 * np.pi)) ** 2
+    stiffness = k / (p * 1e6 * pulse_displacement**0.5)
+    return np.column_stack([pulse_displacement / D_tot, T_b / T_p, mu / A_p, h_sl_ratio, h_rim_ratio, stiffness])
 
 
 _LEAST_PART = 64
@@ -56,8 +46,6 @@ class FeatureMap:
         raw: function of designs, (n, d), to unscaled features, (n, m).
         logarithmic: (m,) whether a feature enters as its logarithm.
         space: the design space.
-        formula: `raw` as differentiable arithmetic on the columns of a design array of any library, list of d -> list
-            of m; None if there is no such formula.
         known: `scaling`, if it is known; it is computed at first use otherwise.
         harmless: which designs, (n, d) -> (n,), have the least severe outcome for certain, as the simulator's physics
             says; None if that is known of none.
@@ -67,7 +55,6 @@ class FeatureMap:
     raw: Callable[[Array], Array]
     logarithmic: np.ndarray
     space: DesignSpace
-    formula: Callable[[Sequence[Any]], list[Any]] | None = None
     known: tuple[Array, Array] | None = None
     harmless: Callable[[Array], NDArray[np.bool_]] | None = None
 
@@ -220,7 +207,7 @@ def _mapped(
 ) -> FeatureMap:
     match features:
         case "design":
-            return _scaled(space.names, np.asarray, space, _logarithms(space), list)
+            return _scaled(space.names, np.asarray, space, _logarithms(space))
         case "decorrelated":
             return _decorrelated(space)
         case "paper":
@@ -261,7 +248,6 @@ def _of_paper(space: DesignSpace) -> FeatureMap:
         lambda X: paper_features(space.table(X, TABLE_1.names)),
         space,
         PAPER_LOGARITHMIC,
-        lambda variables: _paper_formula(space.pick(variables, TABLE_1.names)),
     )
 
 
@@ -274,21 +260,15 @@ def _decorrelated(space: DesignSpace) -> FeatureMap:
     design = _mapped("design", space, None)
     if space.factor is None:
         return design
-    L, logarithm = space.factor, parse_expression("log(x)", ("x",))
+    from scipy.linalg import solve_triangular
 
-    def formula(variables: Sequence[Any]) -> list[Any]:
-        center, spread = design.scaling
-        w: list[Any] = []
-        for i, x in enumerate(variables):
-            z = ((logarithm({"x": x}) if design.logarithmic[i] else x) - center[i]) / spread[i]
-            w.append((z - sum(float(L[i, j]) * w[j] for j in np.flatnonzero(L[i, :i]))) / float(L[i, i]))
-        return w
+    L = space.factor
 
     names = tuple(
         f"{name}_given_{'_'.join(space.names[j] for j in np.flatnonzero(L[i, :i]))}" if L[i, :i].any() else name
         for i, name in enumerate(space.names)
     )
-    return _scaled(names, lambda X: np.column_stack(formula(list(np.asarray(X).T))), space, formula=formula)
+    return _scaled(names, lambda X: solve_triangular(L, design(X).T, lower=True).T, space)
 
 
 def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:
@@ -353,10 +333,7 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
         with np.errstate(all="ignore"):  # `scaling` reports values that are not finite
             return np.column_stack([np.broadcast_to(column, len(X)) for column in values(list(X.T))])
 
-    def formula(variables: Sequence[Any]) -> list[Any]:
-        return [*variables, *values(variables)] if features.variables else values(variables)
-
-    return replace(_joined(tuple(features.expressions), further, space, features.variables), formula=formula)
+    return _joined(tuple(features.expressions), further, space, features.variables)
 
 
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
@@ -370,9 +347,8 @@ def _scaled(
     raw: Callable[[Array], Array],
     space: DesignSpace,
     logarithmic: tuple[bool, ...] = (),
-    formula: Callable[[Sequence[Any]], list[Any]] | None = None,
 ) -> FeatureMap:
     # `logarithmic` may cover only the first features.
     mask = np.arange(len(names)) < 0
     mask[: len(logarithmic)] = logarithmic
-    return FeatureMap(names, raw, mask, space, formula)
+    return FeatureMap(names, raw, mask, space)

@@ -7,3 +7,6 @@ Criterion = Literal["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur
 
 FeatureSet = Literal["paper", "design", "decorrelated", "sliding", "collision"]
 """What the classifier sees of a design (`activefail.features`)."""
+
+Kernel = Literal["rbf", "matern52"]
+"""Covariance of a latent (`activefail.surrogate.covariance`): squared exponential (the paper's) or Matérn-5/2."""

@@ -1,9 +1,8 @@
 """One variable of the design space: its name, range, distribution and unit."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,21 +128,19 @@ class Parameter:
         below, _, above = self._masses()
         return below + above
 
-    def quantile(self, u: Any, ndtri: Callable[[Any], Any]) -> Any:
-        """Quantiles of the distribution.
-
-        Args:
-            u: probabilities, an array of any library if `has_formula`, else of NumPy.
-            ndtri: that library's quantile function of the standard normal.
-        """
+    def quantile(self, u: Array | float) -> Array:
+        """Quantiles of the distribution at probabilities u of any shape."""
+        u = np.asarray(u)
         match self.distribution:
             case "uniform":
-                return self.low + u * (self.high - self.low)
+                return np.asarray(self.low + u * (self.high - self.low))
             case "log_uniform":
-                return self.low * (self.high / self.low) ** u
+                return np.asarray(self.low * (self.high / self.low) ** u)
             case "truncated_normal":
+                from scipy.special import ndtri
+
                 (mean, sd), (below, mass, _) = self._moments, self._masses()
-                return mean + sd * ndtri(below + u * mass)
+                return np.asarray(mean + sd * ndtri(below + u * mass))
             case _:
                 return self._between(u, 1.0 - u)
 
@@ -163,21 +160,6 @@ class Parameter:
                 below, mass, _ = self._masses()
                 return np.asarray((self._law.cdf(x) - below) / mass)
 
-    @property
-    def has_formula(self) -> bool:
-        """Whether `quantile` is arithmetic on arrays of any library."""
-        return self.distribution in ("uniform", "log_uniform", "truncated_normal")
-
-    def density(self, x: Array) -> Array:
-        """The probability density at values x of any shape, per unit of the variable."""
-        match self.distribution:
-            case "uniform":
-                return np.full(np.shape(x), 1.0 / (self.high - self.low))
-            case "log_uniform":
-                return np.asarray(1.0 / (x * np.log(self.high / self.low)))
-            case _:
-                return np.asarray(self._law.pdf(x) / self._masses()[1])
-
     def _between(self, p: Array, q: Array) -> Array:
         """Values with probability p below and q = 1 − p above them; both are used, for accuracy in either tail."""
         below, mass, above = self._masses()
@@ -187,10 +169,10 @@ class Parameter:
 
     def from_normal(self, z: Array) -> Array:
         """The variable's values at standard normal values z of any shape: F⁻¹(Φ(z)), accurate in both tails."""
-        from scipy.special import ndtr, ndtri
+        from scipy.special import ndtr
 
         if self.distribution in ("uniform", "log_uniform"):
-            return np.asarray(self.quantile(ndtr(z), ndtri))
+            return self.quantile(ndtr(z))
         return self._between(ndtr(z), ndtr(-z))
 
     def to_normal(self, x: Array) -> Array:

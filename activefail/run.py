@@ -91,7 +91,7 @@ class Run:
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
-        self._predicts: SavedClassifier | None = None
+        self._predicts: Classifier | SavedClassifier | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -332,22 +332,21 @@ class Run:
                     self._learned = current(self.campaign, self.store, self.writes, self._learned)
             return self._learned
 
-    def _predicting(self, after: int | None = None) -> "SavedClassifier":
+    def _predicting(self, after: int | None = None) -> "Classifier | SavedClassifier":
         """The classifier of all recorded simulations, or of the first ones, for predictions alone.
 
         It comes from the saved state where this is of all simulations, so that torch is not loaded.
         """
-        from activefail.loop.learning import saved_current
-        from activefail.surrogate.saved import SavedClassifier
+        from activefail.loop.saved_learning import predicting, saved_current
 
         if after is not None:
-            return SavedClassifier.of(self.classifier_after(after))
+            return predicting(self.campaign, self.classifier_after(after), self.history[:after])
         with self._turn:
             if self._predicts is None and len(self.history):
                 with one_thread_of_blas():
                     self._predicts = saved_current(self.campaign, self.store)
             if self._predicts is None:
-                self._predicts = SavedClassifier.of(self.classifier)
+                self._predicts = predicting(self.campaign, self.classifier, self.history)
             return self._predicts
 
     def classifier_after(self, simulations: int) -> "Classifier":

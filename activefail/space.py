@@ -121,7 +121,7 @@ class DesignSpace:
             # Infinite values on a face of the cube would mix to NaN.
             return self.from_normal(ndtri(np.clip(U, LEAST_SHARE, 1.0 - LEAST_SHARE)))
         columns = np.moveaxis(np.asarray(U), -1, 0)
-        X = np.stack([p.quantile(u, ndtri) for p, u in zip(self.parameters, columns, strict=True)], axis=-1)
+        X = np.stack([p.quantile(u) for p, u in zip(self.parameters, columns, strict=True)], axis=-1)
         # Clipped: low + u (high - low) can leave the box by one rounding.
         return np.asarray(np.clip(X, self.low, self.high))
 

@@ -37,6 +37,7 @@ import warnings
 import gpytorch
 import numpy as np
 import torch
+from activefail.surrogate.gpytorch_model import covariance_module
 from scipy.optimize import minimize
 from scipy.special import ndtr
 from study import asked, head, timed, uniform
@@ -50,7 +51,6 @@ from activefail.features import feature_map
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.covariance import JITTER
-from activefail.surrogate.gpytorch_model import covariance_module
 from activefail.surrogate.inducing import choose, project
 from activefail.surrogate.sites import Sites, solve_sites
 from activefail.surrogate.threads import one_thread

@@ -83,6 +83,7 @@ def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
 
 
 RUN = {
+    "docs/classifier.md": "test_custom_learner.py",
     "README.md": "test_docs.py",
     "docs/building.md": "test_building.py",
     "docs/design.md": "test_docs.py",

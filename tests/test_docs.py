@@ -288,7 +288,7 @@ def test_the_hazard_files_of_the_docs_are_read_and_drawn(tmp_path, monkeypatch):
 
 
 def test_the_python_of_the_theory_runs(printed):
-    assert "'T_b'" in printed("\n".join(blocks(ROOT / "docs" / "theory.md", "python")))
+    assert "'T_b/T_p'" in printed("\n".join(blocks(ROOT / "docs" / "theory.md", "python")))
 
 
 def anchors(page):

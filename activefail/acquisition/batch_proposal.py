@@ -1,37 +1,36 @@
-"""Proposal of a batch: a criterion is maximised over the physical variables, one design at a time."""
+"""Proposal of a batch: an acquisition function is maximised over the physical variables, one design at a time."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
-from numpy.polynomial.hermite_e import hermegauss
+from botorch.acquisition import AcquisitionFunction
+from botorch.models.model import Model
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr
+from torch import Tensor
 
-from activefail.acquisition.by_margin import propose_by_margin
-from activefail.acquisition.criteria import LookAhead, Pointwise, bald
+from activefail.acquisition.by_margin import candidates_by_margin
+from activefail.acquisition.criteria import Choosing, Make, PointwiseCriterion, bald
 from activefail.acquisition.unseen_search import search
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent
-from activefail.surrogate.margin import MarginLatent
-from activefail.surrogate.sites import Sites
+from activefail.surrogate.boundary_gp import fantasised, keeping
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import AnyLatent, MarginLatent
 
 POOL = 4096
 """Designs in the Sobol' pool of candidates; a power of two."""
 
 SHORTLIST = 512
-"""Designs from whose joint posterior the batch is chosen."""
-
-REFERENCES = 1024
-"""Designs in the Sobol' sample that represents the design measure in a look-ahead criterion; a power of two."""
+"""Designs from which the batch is chosen."""
 
 _BY_BALD, _AT_RANDOM = 768, 256
 """Designs of the pool at which a look-ahead criterion is evaluated: the best by BALD, and a random part of the rest."""
 
 LAZY_BLOCK = 64
-"""Candidates whose look-ahead values are updated together."""
+"""Candidates whose values are updated together."""
 
 _REFINEMENTS = (0.05, 0.02, 0.008)
 """Standard deviations of the local searches around the best designs so far, in units of the variables' ranges."""
@@ -39,141 +38,76 @@ _REFINEMENTS = (0.05, 0.02, 0.008)
 Answers = Callable[[Array], Array]
 """Scaled features, (n, m) -> probability of a result, (n,)."""
 
-_NODES, _WEIGHTS = hermegauss(20)
-_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
+def _weighted(value: Tensor, answers: Tensor | None, is_gain: bool) -> Tensor:
+    """Values that count as much as an answer is probable, (n,).
 
-def expected_site_precision(mean: float, sd: float) -> float:
-    """λ = E_y E_f[−∂² log Φ(yf)/∂f²]: the expected gain in the posterior's precision at a point from a label there.
-
-    The label has its predictive probability, the latent its present distribution.
-    """
-    f = mean + sd * _NODES
-    p = float(np.exp(log_ndtr(mean / np.sqrt(1.0 + sd**2))))
-    total = 0.0
-    for y, probability in ((1.0, p), (-1.0, 1.0 - p)):
-        z = y * f
-        ratio = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_ndtr(z))
-        total += probability * float(ratio * (ratio + z) @ _WEIGHTS)
-    return total
-
-
-def fantasise(mean: Array, covariance: Array, chosen: int) -> float:
-    """Update the covariance, in place, for an unknown label at `chosen`; returns the precision of its site.
-
-    The mean does not change; Σ loses Σ_·* Σ_*·/(Σ_** + 1/λ*).
-    """
-    variance = float(covariance[chosen, chosen])
-    precision = expected_site_precision(float(mean[chosen]), float(np.sqrt(max(variance, 0.0))))
-    column = covariance[:, chosen].copy()
-    covariance -= np.outer(column, column) / (variance + 1.0 / max(precision, 1e-300))
-    return precision
-
-
-def fantasised(latent: Latent, F: Array) -> Latent:
-    """The latent after unknown labels at scaled features F, (k, m), one after another.
-
-    Each label becomes a site with the present mean as pseudo-observation: means do not change, covariances shrink.
-    """
-    mean, covariance = latent.joint(F)
-    covariance = covariance.copy()
-    added = torch.tensor([fantasise(mean, covariance, i) for i in range(len(F))], dtype=torch.float64)
-    at = torch.from_numpy(mean)
-    trained = latent.trained
-    return Latent(
-        replace(
-            trained,
-            features=torch.cat([trained.features, torch.from_numpy(F)]),
-            labels=torch.cat([trained.labels, torch.where(at > 0.0, 1.0, -1.0).double()]),
-            sites=Sites(torch.cat([trained.sites.linear, added * at]), torch.cat([trained.sites.precision, added])),
-            elbo=float("nan"),
-        )
-    )
-
-
-def weighted(criterion: Pointwise, answers: Array | None) -> Pointwise:
-    """A criterion whose values count as much as an answer is probable, (n,); the criterion itself if all are certain.
-
-    Values that are never positive are ranked by Φ(value); of the others, negative ones count as nothing.
+    Negative gains count as nothing. Values that are never positive are ranked by Φ(value).
     """
     if answers is None:
-        return criterion
-
-    def of(mean: Array, sd: Array) -> Array:
-        value = criterion(mean, sd)
-        return np.asarray((np.maximum(value, 0.0) if value.max() > 0.0 else ndtr(value)) * answers)
-
-    return of
+        return value
+    return (value.clamp_min(0.0) if is_gain else torch.special.ndtr(value)) * answers
 
 
-def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -> NDArray[np.intp]:
-    """Rows of q candidates, each the criterion's best given the ones before it.
-
-    A chosen point is fantasised: the mean does not change, the covariance loses Σ_·* Σ_*·/(Σ_** + 1/λ*), as after an
-    unknown label there.
-
-    Args:
-        mean: (n,) latent means of the candidates.
-        covariance: (n, n) their joint covariance.
-        q: number of candidates to choose, at most n.
-        criterion: (mean, sd) -> value, larger is better.
-    """
-    covariance = covariance.copy()
-    chosen: list[int] = []
-    for _ in range(q):
-        sd = np.sqrt(np.clip(covariance.diagonal(), 0.0, None))
-        value = criterion(mean, sd)
-        value[chosen] = -np.inf
-        best = int(np.argmax(value))
-        chosen.append(best)
-        fantasise(mean, covariance, best)
-    return np.array(chosen, dtype=np.intp)
+@torch.no_grad()
+def values(acquisition: AcquisitionFunction, F: Tensor, answers: Tensor | None = None) -> Tensor:
+    """Values of an acquisition function at features, (n, m) -> (n,), which count as much as an answer is probable."""
+    value: Tensor = acquisition(F.unsqueeze(-2))
+    return _weighted(value, answers, bool(value.max() > 0.0))
 
 
-def greedy_look_ahead(
-    mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead, answers: Array | None = None
+@torch.no_grad()
+def best_batch(
+    make: Callable[[Model], AcquisitionFunction],
+    model: Model,
+    F: Tensor,
+    q: int,
+    answers: Tensor | None = None,
+    block: int | None = None,
 ) -> NDArray[np.intp]:
-    """Rows of q of the first n points, each the criterion's best given the ones before it; the others are references.
+    """Rows of q candidates, features F (n, m), each the best given the ones before it.
 
-    Chosen points are fantasised as in `greedy_batch`. Values are updated lazily [Minoux1978]: a candidate's value
-    before a choice is taken as a bound of its value afterwards. This holds where references are nearly independent;
-    elsewhere a batch loses about one per cent.
+    The model is fantasised at a chosen point: means stay, covariances shrink as after an unknown label there.
 
     Args:
-        mean: (n + R,) latent means of candidates and references.
-        covariance: (n + R, n + R) their joint covariance.
-        n: number of candidates.
+        make: makes the acquisition function of a model.
+        model: of the latent.
+        F: the candidates.
         q: number of candidates to choose, at most n.
-        criterion: a look-ahead criterion.
         answers: (n,) probabilities of a result; all are certain if None.
+        block: candidates whose values are updated together, lazily [Minoux1978]: a candidate's value before a choice is
+            taken as a bound of its value afterwards. This holds where references are nearly independent; elsewhere a
+            batch loses about one per cent. All are updated after each choice if None.
     """
-    covariance = covariance.copy()
-
-    def evaluate(rows: NDArray[np.intp]) -> Array:
-        sd = np.sqrt(np.clip(covariance.diagonal(), 0.0, None))
-        gain: Array = criterion.gain(mean[rows], sd[rows], mean[n:], sd[n:], covariance[rows, n:])
-        return gain if answers is None else gain * answers[rows]
-
-    value, current = evaluate(np.arange(n)), np.ones(n, dtype=bool)
+    acquired = make(model)(F.unsqueeze(-2))
+    is_gain = bool(acquired.max() > 0.0)
+    value, current = _weighted(acquired, answers, is_gain).clone(), torch.ones(len(F), dtype=torch.bool)
     chosen: list[int] = []
     for _ in range(q):
-        while not current[best := int(np.argmax(value))]:
-            stale = np.where(current, -np.inf, value)
-            block = np.argsort(-stale, kind="stable")[: min(LAZY_BLOCK, n - int(current.sum()))]
-            value[block] = evaluate(block)
-            current[block] = True
+        if chosen:
+            model = fantasised(model, F[chosen[-1:]])
+            acquisition = make(model)
+        while not current[best := int(value.argmax())]:
+            if block is None:
+                rows, some = torch.arange(len(F)), F
+            else:
+                rows = torch.where(current, -torch.inf, value).topk(min(block, int((~current).sum()))).indices
+                some = F[rows]
+            updated = acquisition(some.unsqueeze(-2))
+            value[rows] = _weighted(updated, None if answers is None else answers[rows], is_gain)
+            current[rows] = True
+            value[chosen] = -torch.inf
         chosen.append(best)
-        fantasise(mean, covariance, best)
         current[:] = False
-        value[chosen], current[chosen] = -np.inf, True
+        value[chosen], current[chosen] = -torch.inf, True
     return np.array(chosen, dtype=np.intp)
 
 
 def propose(
-    latent: Latent | MarginLatent,
+    latent: AnyLatent,
     features: FeatureMap,
     space: DesignSpace,
-    criterion: Pointwise | LookAhead,
+    criterion: Choosing,
     q: int,
     rng: np.random.Generator,
     *,
@@ -187,7 +121,7 @@ def propose(
     The criterion is evaluated on a Sobol' pool over the design space. Local random searches, which need neither
     gradients nor smooth features, improve the best designs. The batch is chosen greedily from the results.
 
-    A boundary that is learned from a margin has its own criterion (`propose_by_margin`).
+    A boundary that is learned from a margin has its own criterion (`by_margin`).
 
     Args:
         pending: (k, d) designs in flight, which are fantasised first.
@@ -196,72 +130,104 @@ def propose(
             where the design measure has few designs.
         answers: probability of a result at scaled features; all are certain if None.
     """
-    if isinstance(latent, MarginLatent):
-        return propose_by_margin(latent, features, space, q, rng, pending=pending, failed=failed, answers=answers)
-    if pending is not None and len(pending) > 0:
-        latent = fantasised(latent, features(pending))
-    if isinstance(criterion, LookAhead):
+    by_margin = isinstance(latent, MarginLatent) and not criterion.is_custom
+    model, sample = latent.model, _Sample(space, rng, widening)
+    known = [X for X in ((pending, failed) if by_margin else (pending,)) if X is not None and len(X)]
+    for X in known:
+        model = fantasised(model, torch.from_numpy(features(X)))
+
+    def certain(F: Array) -> Tensor | None:
+        return None if answers is None else torch.from_numpy(answers(F))
+
+    if by_margin:
+        X, references, make = candidates_by_margin(model, features, space, q, rng)
+        F, block = features(X), None
+    elif criterion.references:
         # It draws new candidates for each batch, so none is an earlier design.
-        return _propose_ahead(latent, features, space, criterion, q, rng, widening, answers)
-    return _propose_pointwise(latent, features, space, criterion, q, rng, failed, widening, answers)
+        X, F = _candidates_by_bald(model, features, sample, certain)
+        references, make, block = torch.from_numpy(features(sample(criterion.references))), criterion.make, LAZY_BLOCK
+    else:
+        seen = [latent.features, *(features(X) for X in known)]
+        X, F = _candidates_by_search(model, features, sample, criterion.make, q, np.concatenate(seen), failed, certain)
+        references, make, block = torch.empty(0, F.shape[1], dtype=torch.float64), criterion.make, None
+    candidates = torch.from_numpy(F)
+    with keeping(model, candidates, references):
+        make_here = partial(_with_references, make, references)
+        return np.asarray(X[best_batch(make_here, model, candidates, min(q, len(F)), certain(F), block)])
 
 
-def _sample(space: DesignSpace, n: int, rng: np.random.Generator, widening: float) -> Array:
-    """n designs of a Sobol' sequence, (n, d), with the normal variables stretched."""
-    X = space.sobol(n, rng)
-    return X if widening == 1.0 else space.widened(X, widening)
+def _with_references(make: Make, references: Tensor, model: Model) -> AcquisitionFunction:
+    return make(model, references)
 
 
-def _propose_pointwise(
-    latent: Latent,
+@dataclass(frozen=True)
+class _Sample:
+    """Draws designs of a Sobol' sequence, with the normal variables stretched."""
+
+    space: DesignSpace
+    rng: np.random.Generator
+    widening: float
+
+    def __call__(self, n: int) -> Array:
+        """n designs, (n, d)."""
+        X = self.space.sobol(n, self.rng)
+        return X if self.widening == 1.0 else self.space.widened(X, self.widening)
+
+
+def _candidates_by_search(
+    model: Model,
     features: FeatureMap,
-    space: DesignSpace,
-    criterion: Pointwise,
+    sample: _Sample,
+    make: Make,
     q: int,
-    rng: np.random.Generator,
+    known: Array,
     failed: Array | None,
-    widening: float,
-    answers: Answers | None,
-) -> Array:
-    def value(F: Array) -> Array:
-        return np.asarray(weighted(criterion, None if answers is None else answers(F))(*latent.moments(F)))
+    certain: Callable[[Array], Tensor | None],
+) -> tuple[Array, Array]:
+    """Candidates, (n, d), and their features, (n, m): the best of a pool, improved by random searches around each.
 
-    pool = _sample(space, POOL, rng, widening)
-    values = value(features(pool))
+    They repeat none of the `known` features, (l, m), unless there are no others.
+    """
+    acquisition = make(model, torch.empty(0, known.shape[1], dtype=torch.float64))
+
+    def value(X: Array) -> Array:
+        F = features(X)
+        return np.asarray(values(acquisition, torch.from_numpy(F), certain(F)).numpy())
+
+    space, rng, pool = sample.space, sample.rng, sample(POOL)
+    of_pool = value(pool)
     for spread in _REFINEMENTS:
-        best = np.argsort(-values, kind="stable")[:SHORTLIST]
+        best = np.argsort(-of_pool, kind="stable")[:SHORTLIST]
         unit = space.to_unit(pool[best])
         moved = space.from_unit(np.clip(unit + spread * rng.standard_normal(unit.shape), 0.0, 1.0))
-        moved_values = value(features(moved))
+        of_moved = value(moved)
         # Each search replaces its own start, so that the shortlist stays spread over the whole boundary.
-        improved = moved_values > values[best]
+        improved = of_moved > of_pool[best]
         pool = np.where(improved[:, None], moved, pool[best])
-        values = np.where(improved, moved_values, values[best])
+        of_pool = np.where(improved, of_moved, of_pool[best])
     F = features(pool)
-    new = new_rows(pool, F, latent, failed)
+    new = new_rows(pool, F, known, failed)
     if len(new) < q:
         # The searches ended at a few known corners; add other candidates.
-        pool = np.concatenate([pool[new], _sample(space, POOL, rng, widening)])
+        pool = np.concatenate([pool[new], sample(POOL)])
         F = features(pool)
-        new = new_rows(pool, F, latent, failed)[:SHORTLIST]
+        new = new_rows(pool, F, known, failed)[:SHORTLIST]
     if len(new) < q:
         # All values of discrete features are known; repeating some still adds information.
         others = np.setdiff1d(np.arange(len(pool)), new)
         failures = set() if failed is None else {row.tobytes() for row in failed}
         new = np.concatenate([new, [row for row in others if pool[row].tobytes() not in failures][: q - len(new)]])
         new = new.astype(np.intp)
-    pool, F = pool[new], F[new]
-    mean, covariance = latent.joint(F)
-    of_batch = weighted(criterion, None if answers is None else answers(F))
-    return np.asarray(pool[greedy_batch(mean, covariance, q, of_batch)])
+    return pool[new], F[new]
 
 
-def new_rows(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
-    """Rows of designs X, (n, d), with features F, (n, m), that repeat no training point, failed design or earlier row.
+def new_rows(X: Array, F: Array, known: Array, failed: Array | None) -> NDArray[np.intp]:
+    """Rows of designs X, (n, d), with features F, (n, m), that repeat no known features, (l, m), failed design
+    or earlier row.
 
     A search may end in a corner where a design was simulated or is in flight; repeating it would add nothing.
     """
-    seen = {row.tobytes() for row in latent.trained.features.numpy()}
+    seen = {row.tobytes() for row in known}
     # Failures are compared by design: they may depend on a variable that the features omit.
     failures = set() if failed is None else {row.tobytes() for row in failed}
     rows = []
@@ -273,27 +239,19 @@ def new_rows(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArra
     return np.array(rows, dtype=np.intp)
 
 
-def _propose_ahead(
-    latent: Latent,
-    features: FeatureMap,
-    space: DesignSpace,
-    criterion: LookAhead,
-    q: int,
-    rng: np.random.Generator,
-    widening: float,
-    answers: Answers | None,
-) -> Array:
-    pool = _sample(space, POOL, rng, widening)
-    # Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
+def _candidates_by_bald(
+    model: Model, features: FeatureMap, sample: _Sample, certain: Callable[[Array], Tensor | None]
+) -> tuple[Array, Array]:
+    """Candidates, (n, d), and their features, (n, m): the best of a pool by BALD, and some of the others.
+
+    Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
+    """
+    pool = sample(POOL)
     F = features(pool)
-    order = np.argsort(-weighted(bald, None if answers is None else answers(F))(*latent.moments(F)), kind="stable")
-    others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
-    candidates = pool[np.concatenate([order[:_BY_BALD], others])]
-    references = _sample(space, REFERENCES, rng, widening)
-    mean, covariance = latent.joint(features(np.concatenate([candidates, references])))
-    n = len(candidates)
-    certain = None if answers is None else answers(features(candidates))
-    return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion, certain)])
+    value = values(PointwiseCriterion(model, bald), torch.from_numpy(F), certain(F)).numpy()
+    order = np.argsort(-value, kind="stable")
+    rows = np.concatenate([order[:_BY_BALD], sample.rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)])
+    return pool[rows], F[rows]
 
 
 def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
@@ -338,7 +296,7 @@ class Search:
 def propose_shared(
     classifier: Classifier,
     space: DesignSpace,
-    criterion: Pointwise | LookAhead,
+    criterion: Choosing,
     *,
     boundaries: Mapping[str, float],
     exploration: float,

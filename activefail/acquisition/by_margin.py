@@ -5,16 +5,21 @@ number would, on average, leave the least doubt Σ w √(p(1 − p)) over the de
 deviation of the probability beyond the boundary [BectEtAl2012].
 """
 
-import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import torch
+from botorch.acquisition import AcquisitionFunction
+from botorch.models.model import Model
 from scipy.special import ndtr
+from torch import Tensor
 
 from activefail.acquisition.population import Population, finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
+from activefail.surrogate.boundary_gp import covariance as covariance_of
+from activefail.surrogate.boundary_gp import marginal, moments
 from activefail.surrogate.margin import MarginLatent
 
 REFERENCES = 300
@@ -42,7 +47,7 @@ def doubt(standardised: Array) -> Array:
     return np.asarray(np.sqrt(ndtr(standardised) * ndtr(-standardised)))
 
 
-def expected_doubt(mean: Array, sd: Array, variance: Array, covariance: Array) -> Array:
+def expected_doubt(mean: Tensor, sd: Tensor, variance: Tensor, covariance: Tensor) -> Tensor:
     """Expected √(p(1 − p)) at R references after the margin of each of n candidates becomes known, (n, R).
 
     A candidate's margin, with the correlation ρ to a reference, moves the reference's mean by ρ sd times a standard
@@ -55,12 +60,41 @@ def expected_doubt(mean: Array, sd: Array, variance: Array, covariance: Array) -
         variance: (n,) of the latent at candidates.
         covariance: (n, R) between both.
     """
-    explained = np.minimum(covariance**2 / (variance[:, None] * sd**2), 1.0 - 1e-12)
-    half, total = 0.5 * (mean / sd) ** 2, np.zeros_like(explained)
+    explained = (covariance**2 / (variance[:, None] * sd**2)).clamp_max(1.0 - 1e-12)
+    half, total = 0.5 * (mean / sd) ** 2, torch.zeros_like(explained)
     for height, precision in zip(_HEIGHTS, _PRECISIONS, strict=True):
         D = 1.0 + (precision - 1.0) * explained
-        total += height * np.exp(-precision * half / D) / np.sqrt(D)
-    return np.asarray(total * np.sqrt(1.0 - explained))
+        total += height * torch.exp(-precision * half / D) / D.sqrt()
+    return total * (1.0 - explained).sqrt()
+
+
+class DoubtReduction(AcquisitionFunction):
+    """Expected fall of the doubt at references by a margin at single points of scaled features, (n, 1, m) -> (n,).
+
+    Args:
+        model: of the latent.
+        references: (R, m) scaled features.
+        weight: (R,) of the references.
+    """
+
+    def __init__(self, model: Model, references: Tensor, weight: Tensor) -> None:
+        super().__init__(model)
+        self._references, self._weight = references, weight
+        with torch.no_grad():
+            self._mean, self._sd = marginal(model, references)
+
+    def forward(self, X: Tensor) -> Tensor:
+        """The criterion."""
+        F = X.squeeze(-2)
+        variance = marginal(self.model, F)[1].square().clamp_min(1e-12)
+        covariance = covariance_of(self.model, F, self._references)
+        after = expected_doubt(self._mean, self._sd, variance, covariance)
+        fall: Tensor = (_doubt(self._mean / self._sd) - after) @ self._weight
+        return fall
+
+
+def _doubt(standardised: Tensor) -> Tensor:
+    return torch.as_tensor((torch.special.ndtr(standardised) * torch.special.ndtr(-standardised)).sqrt())
 
 
 def doubtful_population(
@@ -72,64 +106,42 @@ def doubtful_population(
     return drawn, F, latent.moments(F).standardised
 
 
-def propose_by_margin(
-    latent: MarginLatent,
-    features: FeatureMap,
-    space: DesignSpace,
-    q: int,
-    rng: np.random.Generator,
-    *,
-    pending: Array | None = None,
-    failed: Array | None = None,
-    answers: Callable[[Array], Array] | None = None,
-) -> Array:
-    """q designs, (q, d), whose margins reduce the doubt about the boundary most.
+class Candidates(NamedTuple):
+    """Designs to choose from, and the criterion."""
 
-    References and candidates are drawn from a population in proportion to their parts of the doubt. After each choice,
-    the margin is taken to be its mean (kriging believer).
+    designs: Array  # (n, d)
+    references: Tensor  # (R, m), scaled features
+    make: Callable[[Model, Tensor], AcquisitionFunction]
+
+
+def candidates_by_margin(
+    model: Model, features: FeatureMap, space: DesignSpace, q: int, rng: np.random.Generator
+) -> Candidates:
+    """Candidates for q designs whose margins reduce the doubt about a boundary most.
+
+    References and candidates are drawn from a population in proportion to their parts of the doubt.
 
     Args:
-        latent: of the boundary.
+        model: of the boundary's latent, with the designs in flight.
         features: map from designs to the latent's inputs.
         space: the design space.
         q: number of designs.
         rng: generator of the draws.
-        pending: (k, d) designs in flight; their margins are taken as known.
-        failed: (k, d) designs whose simulation was a numerical failure; nothing is to be learned near them.
-        answers: probability of a result at scaled features; all are certain if None.
     """
-    for known in (pending, failed):
-        if known is not None and len(known):
-            latent = latent.with_pending(features(known))
-    drawn, F, standardised = doubtful_population(latent, features, space, SIZE, rng)
-    parts, certain = drawn.weight * doubt(standardised), None if answers is None else answers(F)
-    return np.asarray(drawn.X[_best_rows(latent, F, parts, q, rng, certain)])
 
+    def standardised(F: Array) -> Array:
+        mean, sd = moments(model, F)
+        return mean / sd
 
-def _best_rows(
-    latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.random.Generator, answers: Array | None
-) -> NDArray[np.intp]:
-    """Rows of q designs of a population with features F, (n, m), parts of the doubt, (n,), and chances of a result."""
-    share = (parts + LEAST) / (parts + LEAST).sum()
+    drawn = population(space, SIZE, lambda X: doubt(standardised(finite(features, X))), rng)
+    F = finite(features, drawn.X)
+    uncertain = doubt(standardised(F))
+    share = (drawn.weight * uncertain + LEAST) / (drawn.weight * uncertain + LEAST).sum()
     references = rng.choice(len(F), REFERENCES, p=share)
     candidates = np.unique(rng.choice(len(F), _CANDIDATES + _MORE * q, p=share))
     if len(candidates) < q:
         others = np.setdiff1d(np.arange(len(F)), candidates)
         candidates = np.concatenate([candidates, rng.choice(others, q - len(candidates), replace=False)])
-    mean, covariance = latent.joint(np.concatenate([F[candidates], F[references]]))
-    covariance = covariance.copy()
-    n, chosen = len(candidates), list[int]()
     # The references were drawn in proportion to the doubt before the batch.
-    before = np.maximum(doubt(mean[n:] / np.sqrt(np.maximum(covariance.diagonal()[n:], LEAST))), LEAST)
-    for _ in range(q):
-        variance = np.maximum(covariance.diagonal(), 1e-12)
-        after = expected_doubt(mean[n:], np.sqrt(variance[n:]), variance[:n], covariance[:n, n:])
-        left = (after / before).mean(axis=1)
-        if answers is not None:
-            left = (left - 1.0) * answers[candidates]
-        left[chosen] = math.inf
-        best = int(np.argmin(left))
-        chosen.append(best)
-        column = covariance[:, best].copy()
-        covariance -= np.outer(column, column) / variance[best]
-    return np.asarray(candidates[chosen])
+    at, weight = torch.from_numpy(F[references]), torch.from_numpy(1.0 / np.maximum(uncertain[references], LEAST))
+    return Candidates(drawn.X[candidates], at, lambda model, at: DoubtReduction(model, at, weight / REFERENCES))

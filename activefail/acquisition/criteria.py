@@ -1,8 +1,7 @@
-"""Criteria that rank candidates by what their simulation would teach: one function each, larger is better.
+"""Criteria that rank candidates by what their simulation would teach, as BoTorch acquisition functions over features.
 
 Failure is f > 0, with a probit likelihood for the next label. Pointwise criteria take the latent's mean and standard
-deviation at candidates, arrays of one shape, and return an array of that shape. They take NumPy arrays
-(in the loop) or torch tensors (for BoTorch's optimisers, with gradients).
+deviation at candidates, (n,), and return (n,); larger is better.
 
 Look-ahead criteria also take the latent at R reference points, drawn from the design measure, and the covariance
 between both. They average, over the references, the expected information of a candidate's label about each reference's
@@ -14,20 +13,33 @@ P = Φ(b), b = −μ_q/σ_q. After a label 1 or 0 it is safe with probability
 [LethamEtAl2022]. In terms of the covariance D = Z − πP: P¹ = P + D/π, P⁰ = P − D/(1 − π).
 """
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any
 
-import numpy as np
-from scipy.special import ndtr, xlogy
+import torch
+from botorch.acquisition import AcquisitionFunction
+from botorch.models.model import Model
+from scipy.special import owens_t
+from torch import Tensor
 
-from activefail.acquisition.bivariate import label_covariance
-from activefail.acquisition.functions import Functions, Numbers
 from activefail.names import Criterion
+from activefail.surrogate.boundary_gp import covariance as covariance_of
+from activefail.surrogate.boundary_gp import marginal
 
-Pointwise: TypeAlias = Callable[[Numbers, Numbers], Numbers]
+REFERENCES = 1024
+"""Designs in the Sobol' sample that represents the design measure in a look-ahead criterion; a power of two."""
+
+Pointwise = Callable[[Tensor, Tensor], Tensor]
 """(mean, sd) -> value."""
+
+Gain = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
+"""(mean, sd, reference_mean, reference_sd, covariance) -> value."""
+
+Make = Callable[[Model, Tensor], AcquisitionFunction]
+"""(model, references) -> acquisition function; the references, (R, m), are scaled features of the design measure."""
 
 _C2 = 0.5 * math.pi * math.log(2.0)
 """C² of the Gaussian that approximates the entropy of a probit likelihood [HoulsbyEtAl2011, section 4]."""
@@ -35,105 +47,131 @@ _C2 = 0.5 * math.pi * math.log(2.0)
 _LEAST = 1e-12
 """Lower bound for divisors: probabilities of labels and standard deviations of references."""
 
+_FARTHEST = 38.0
+"""Standard deviations beyond which Φ is 0 or 1 in double precision."""
+
 _PAIRS_AT_ONCE = 1 << 15
 """Candidates times references per evaluation, so that intermediate arrays stay in the processor's cache."""
 
 
-_ON_ARRAYS = Functions(np.sqrt, np.exp, np.minimum, np.concatenate, ndtr, lambda x: xlogy(x, x), label_covariance)
-
-
-def _functions(numbers: Numbers) -> Functions:
-    """The functions for these numbers."""
-    if isinstance(numbers, np.ndarray):
-        return _ON_ARRAYS
-    from activefail.acquisition.differentiable import ON_TENSORS
-
-    return ON_TENSORS
-
-
-def binary_entropy(p: Numbers) -> Numbers:
+def _entropy_of(p: Tensor) -> Tensor:
     """h(p) = −p log₂ p − (1−p) log₂(1−p) [bit]."""
-    x_log_x = _functions(p).x_log_x
-    return -(x_log_x(p) + x_log_x(1.0 - p)) / math.log(2.0)
+    # Off 0, where the slope of p log p is infinite.
+    p, rest = p.clamp_min(1e-300), (1.0 - p).clamp_min(1e-300)
+    return -(p * p.log() + rest * rest.log()) / math.log(2.0)
 
 
-def misclassification(p: Numbers) -> Numbers:
+def _misclassification(p: Tensor) -> Tensor:
     """min(p, 1 − p): the probability that the more probable side is wrong."""
-    return _functions(p).minimum(p, 1.0 - p)
+    return torch.minimum(p, 1.0 - p)
 
 
-def entropy(mean: Numbers, sd: Numbers) -> Numbers:
+def entropy(mean: Tensor, sd: Tensor) -> Tensor:
     """−|μ|/√(1+σ²), with the same ranking as the entropy h(Φ(μ/√(1+σ²))) of the next label.
 
     Far from the boundary h underflows and would rank all points equally.
     """
-    return -abs(mean) / _functions(sd).sqrt(1.0 + sd**2)
+    return -mean.abs() / (1.0 + sd**2).sqrt()
 
 
-def u(mean: Numbers, sd: Numbers) -> Numbers:
+def u(mean: Tensor, sd: Tensor) -> Tensor:
     """−|μ|/σ, with the same ranking as the probability of the latent's less probable sign.
 
     Source: [EchardEtAl2011, eq. 12] (U, which is minimised there).
     """
-    return -abs(mean) / sd.clip(_LEAST)
+    return -mean.abs() / sd.clamp_min(_LEAST)
 
 
-def straddle(mean: Numbers, sd: Numbers) -> Numbers:
+def straddle(mean: Tensor, sd: Tensor) -> Tensor:
     """1.96 σ − |μ|: how far the latent's 95 % interval extends across the boundary.
 
     Source: [BryanEtAl2005, eq. 3].
     """
-    return 1.96 * sd - abs(mean)
+    return 1.96 * sd - mean.abs()
 
 
-def bald(mean: Numbers, sd: Numbers) -> Numbers:
+def bald(mean: Tensor, sd: Tensor) -> Tensor:
     """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): mutual information of the label and the latent [bit].
 
     Source: [HoulsbyEtAl2011, eq. 4].
     """
-    on = _functions(mean)
     variance = sd**2 + _C2
-    expected = on.sqrt(_C2 / variance) * on.exp(-(mean**2) / (2.0 * variance))
-    return binary_entropy(on.ndtr(mean / on.sqrt(1.0 + sd**2))) - expected
+    expected = (_C2 / variance).sqrt() * torch.exp(-(mean**2) / (2.0 * variance))
+    return _entropy_of(torch.special.ndtr(mean / (1.0 + sd**2).sqrt())) - expected
+
+
+class _LabelCovariance(torch.autograd.Function):
+    """BVN(a, b; ρ) − Φ(a)·Φ(b): the covariance of the events x < a and y < b, by Owen's T function [Owen1956].
+
+    With its closed derivatives (those of BVN: [Genz2004, section 2]).
+    """
+
+    @staticmethod
+    def forward(ctx: Any, a: Tensor, b: Tensor, rho: Tensor) -> Tensor:
+        a, b, rho = torch.broadcast_tensors(a, b, rho)
+        ctx.save_for_backward(a, b, rho)
+        x, y = (_off_zero(z.clamp(-_FARTHEST, _FARTHEST)) for z in (a, b))
+        root = ((1.0 - rho) * (1.0 + rho)).clamp_min(1e-15).sqrt()
+        of_x, of_y = (owens_t(p.numpy(), ((q / p - rho) / root).numpy()) for p, q in ((x, y), (y, x)))
+        P, Q = torch.special.ndtr(x), torch.special.ndtr(y)
+        D: Tensor = 0.5 * (P + Q) - torch.from_numpy(of_x + of_y) - 0.5 * (x * y < 0.0) - P * Q
+        return D
+
+    @staticmethod
+    def backward(ctx: Any, *by_value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        a, b, rho = ctx.saved_tensors
+        rest = ((1.0 - rho) * (1.0 + rho)).clamp_min(1e-15)
+        root, ndtr = rest.sqrt(), torch.special.ndtr
+        by_a = _density(a) * (ndtr((b - rho * a) / root) - ndtr(b))
+        by_b = _density(b) * (ndtr((a - rho * b) / root) - ndtr(a))
+        by_rho = torch.exp(-0.5 * (a * a + b * b - 2.0 * rho * a * b) / rest) / (2.0 * math.pi * root)
+        return by_value[0] * by_a, by_value[0] * by_b, by_value[0] * by_rho
+
+
+def _off_zero(x: Tensor) -> Tensor:
+    return torch.where(x == 0.0, 1e-300, x)
+
+
+def _density(x: Tensor) -> Tensor:
+    return torch.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
 
 
 def _average_over_references(
-    gain: Callable[[Numbers, Numbers, Numbers], Numbers],
-    mean: Numbers,
-    sd: Numbers,
-    reference_mean: Numbers,
-    reference_sd: Numbers,
-    covariance: Numbers,
-) -> Numbers:
+    gain: Callable[[Tensor, Tensor, Tensor], Tensor],
+    mean: Tensor,
+    sd: Tensor,
+    reference_mean: Tensor,
+    reference_sd: Tensor,
+    covariance: Tensor,
+) -> Tensor:
     """Average of gain(π, P, D) over the references, shapes (rows, 1), (R,), (rows, R) -> (rows, R); shape (n,)."""
-    on = _functions(mean)
-    label_sd = on.sqrt(1.0 + sd**2)
+    label_sd = (1.0 + sd**2).sqrt()
     a = mean / label_sd
-    reference_sd = reference_sd.clip(_LEAST)
+    reference_sd = reference_sd.clamp_min(_LEAST)
     b = -reference_mean / reference_sd
-    probability, safe = on.ndtr(a).clip(_LEAST, 1.0 - _LEAST), on.ndtr(b)
+    probability, safe = torch.special.ndtr(a).clamp(_LEAST, 1.0 - _LEAST), torch.special.ndtr(b)
     values = []
     rows = max(1, _PAIRS_AT_ONCE // len(b))
     for first in range(0, len(mean), rows):
         some = slice(first, first + rows)
         rho = -covariance[some] / (label_sd[some, None] * reference_sd)
-        D = on.label_covariance(a[some, None], b, rho)
+        D = torch.as_tensor(_LabelCovariance.apply(a[some, None], b, rho))
         values.append(gain(probability[some, None], safe, D).mean(1))
-    return on.concatenate(values)
+    return torch.cat(values)
 
 
-def _expected_fall(uncertainty: Callable[[Numbers], Numbers]) -> Callable[[Numbers, Numbers, Numbers], Numbers]:
+def _expected_fall(uncertainty: Callable[[Tensor], Tensor]) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
     """H(P) − π·H(P¹) − (1−π)·H(P⁰) of an uncertainty H; not negative where H is concave."""
 
-    def fall(probability: Numbers, safe: Numbers, D: Numbers) -> Numbers:
-        one = (safe + D / probability).clip(0.0, 1.0)
-        zero = (safe - D / (1.0 - probability)).clip(0.0, 1.0)
+    def fall(probability: Tensor, safe: Tensor, D: Tensor) -> Tensor:
+        one = (safe + D / probability).clamp(0.0, 1.0)
+        zero = (safe - D / (1.0 - probability)).clamp(0.0, 1.0)
         return uncertainty(safe) - probability * uncertainty(one) - (1.0 - probability) * uncertainty(zero)
 
     return fall
 
 
-def eavc(mean: Numbers, sd: Numbers, reference_mean: Numbers, reference_sd: Numbers, covariance: Numbers) -> Numbers:
+def eavc(mean: Tensor, sd: Tensor, reference_mean: Tensor, reference_sd: Tensor, covariance: Tensor) -> Tensor:
     """π·|E_q[P − P¹]| + (1−π)·|E_q[P − P⁰]| = 2·|E_q[D]|: expected absolute change of the safe share of the space.
 
     Source: [LethamEtAl2022] (EAVC); the second form follows from P − P¹ = −D/π, P − P⁰ = D/(1−π).
@@ -144,61 +182,95 @@ def eavc(mean: Numbers, sd: Numbers, reference_mean: Numbers, reference_sd: Numb
         covariance: (n, R) covariance between both.
     """
     average = _average_over_references(lambda _, __, D: D, mean, sd, reference_mean, reference_sd, covariance)
-    return 2.0 * abs(average)
+    return 2.0 * average.abs()
 
 
-def globalmi(
-    mean: Numbers, sd: Numbers, reference_mean: Numbers, reference_sd: Numbers, covariance: Numbers
-) -> Numbers:
+def globalmi(mean: Tensor, sd: Tensor, reference_mean: Tensor, reference_sd: Tensor, covariance: Tensor) -> Tensor:
     """E_q[h(P) − π·h(P¹) − (1−π)·h(P⁰)]: information of the label about the side of a random design [bit].
 
     Source: [LethamEtAl2022] (GlobalMI). Arguments as for `eavc`.
     """
-    fall = _expected_fall(binary_entropy)
+    fall = _expected_fall(_entropy_of)
     return _average_over_references(fall, mean, sd, reference_mean, reference_sd, covariance)
 
 
-def sur(mean: Numbers, sd: Numbers, reference_mean: Numbers, reference_sd: Numbers, covariance: Numbers) -> Numbers:
+def sur(mean: Tensor, sd: Tensor, reference_mean: Tensor, reference_sd: Tensor, covariance: Tensor) -> Tensor:
     """E_q[m(P) − π·m(P¹) − (1−π)·m(P⁰)], m(p) = min(p, 1−p): expected decrease of the misclassified share.
 
     Source: [BectEtAl2012], stepwise uncertainty reduction with the probability of misclassification. It is exactly zero
     where neither label would change a reference's side. Arguments as for `eavc`.
     """
-    fall = _expected_fall(misclassification)
+    fall = _expected_fall(_misclassification)
     return _average_over_references(fall, mean, sd, reference_mean, reference_sd, covariance)
 
 
-@dataclass(frozen=True)
-class LookAhead:
-    """A criterion that needs reference points.
+class PointwiseCriterion(AcquisitionFunction):
+    """Entropy, U, straddle or BALD of single points of scaled features, (..., 1, m) -> (...)."""
 
-    Attributes:
-        gain: (mean, sd, reference_mean, reference_sd, covariance) -> value, such as `eavc`.
+    def __init__(self, model: Model, value: Pointwise) -> None:
+        super().__init__(model)
+        self._value = value
+
+    def forward(self, X: Tensor) -> Tensor:
+        """The criterion."""
+        return self._value(*marginal(self.model, X.reshape(-1, X.shape[-1]))).reshape(X.shape[:-2])
+
+
+class LookAheadCriterion(AcquisitionFunction):
+    """EAVC, GlobalMI or SUR of single points of scaled features, (n, 1, m) -> (n,).
+
+    Args:
+        model: of the latent.
+        gain: the criterion.
+        references: (R, m) scaled features of designs that represent the design measure.
     """
 
-    gain: Callable[[Numbers, Numbers, Numbers, Numbers, Numbers], Numbers]
+    def __init__(self, model: Model, gain: Gain, references: Tensor) -> None:
+        super().__init__(model)
+        self._gain, self._references = gain, references
+        with torch.no_grad():
+            self._moments = marginal(model, references)
+
+    def forward(self, X: Tensor) -> Tensor:
+        """The criterion."""
+        F = X.squeeze(-2)
+        return self._gain(*marginal(self.model, F), *self._moments, covariance_of(self.model, F, self._references))
 
 
-def criterion(name: Criterion) -> Pointwise | LookAhead:
+@dataclass(frozen=True)
+class Choosing:
+    """How designs are chosen.
+
+    Attributes:
+        make: makes the acquisition function.
+        references: number of designs that it needs to represent the design measure; a power of two, or 0.
+        is_custom: whether it is the user's, also for boundaries that are learned from a margin.
+    """
+
+    make: Make
+    references: int = 0
+    is_custom: bool = False
+
+
+def criterion(name: Criterion) -> Choosing:
     """The named criterion.
 
     Raises:
         ValueError: if the name is unknown.
     """
     match name:
-        case "entropy":
-            return entropy
-        case "u":
-            return u
-        case "straddle":
-            return straddle
-        case "bald":
-            return bald
-        case "eavc":
-            return LookAhead(eavc)
-        case "globalmi":
-            return LookAhead(globalmi)
-        case "sur":
-            return LookAhead(sur)
+        case "entropy" | "u" | "straddle" | "bald":
+            value = {"entropy": entropy, "u": u, "straddle": straddle, "bald": bald}[name]
+            return Choosing(lambda model, references: PointwiseCriterion(model, value))
+        case "eavc" | "globalmi" | "sur":
+            gain = {"eavc": eavc, "globalmi": globalmi, "sur": sur}[name]
+            return Choosing(lambda model, references: LookAheadCriterion(model, gain, references), REFERENCES)
         case _:
             raise ValueError(f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}.")
+
+
+def custom_criterion(function: Callable[..., AcquisitionFunction]) -> Choosing:
+    """The user's function of a BoTorch model, and of `references`, (R, m), if it has a parameter of that name."""
+    if "references" not in inspect.signature(function).parameters:
+        return Choosing(lambda model, references: function(model), 0, True)
+    return Choosing(lambda model, references: function(model, references=references), REFERENCES, True)

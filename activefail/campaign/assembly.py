@@ -1,6 +1,7 @@
 """Build a campaign from its settings: design space, simulator and features."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
-from activefail.errors import InputError
+from activefail.errors import InputError, description_of
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
 from activefail.names import FeatureSet
 from activefail.record.batch import Schema
@@ -22,7 +23,15 @@ from activefail.simulators.command import CommandSimulator
 from activefail.simulators.elsewhere import ElsewhereSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import Simulator
-from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY, load_function
+from activefail.simulators.user_code import (
+    CRITERION_KEY,
+    FEATURES_KEY,
+    KERNEL_KEY,
+    LIKELIHOOD_KEY,
+    MODEL_KEY,
+    SIMULATOR_KEY,
+    load_function,
+)
 from activefail.space import Array, DesignSpace
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
@@ -42,6 +51,7 @@ class Campaign:
         question: the distribution under which probabilities are asked for.
         sources: digests of the source files of custom functions, by settings key.
         code: folder of the user's code; None if it must not be run.
+        learner: custom code of the classifier and the acquisition, by settings key.
     """
 
     settings: CampaignSettings
@@ -51,6 +61,7 @@ class Campaign:
     question: Question
     sources: dict[str, str] = field(default_factory=dict)
     code: Path | None = None
+    learner: dict[str, Callable[..., Any]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -94,9 +105,13 @@ class Campaign:
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model(), check_features)
+        learner = {}
+        for key, reference in _learner_references(settings).items() if custom_features else ():
+            learner[key], sources[key] = load_function(reference, code, key, run)
         if isinstance(simulator, DfpSimulator):
             mapped = replace(mapped, harmless=simulator.harmless)
-        return cls(settings, space, simulator, mapped, question_of(settings.question, space), sources | source, code)
+        asked = question_of(settings.question, space)
+        return cls(settings, space, simulator, mapped, asked, sources | source, code, learner)
 
     @property
     def time_limit(self) -> float | None:
@@ -113,7 +128,21 @@ class Campaign:
             functions[SIMULATOR_KEY] = simulator.python
         if isinstance(features, sections.PythonFeaturesSettings):
             functions[FEATURES_KEY] = features.python
-        return functions
+        return functions | _learner_references(self.settings)
+
+    @contextmanager
+    def custom_learner(self) -> Iterator[None]:
+        """The context in which custom code of the classifier and the acquisition runs.
+
+        Raises:
+            InputError: if there is any, in place of its error.
+        """
+        try:
+            yield
+        except Exception as error:
+            if not self.learner or isinstance(error, InputError):
+                raise
+            raise InputError(f"{', '.join(self.learner)}: learning failed: {description_of(error)}.") from error
 
     @property
     def decisive(self) -> tuple[str, ...]:
@@ -232,6 +261,18 @@ def _features(
             return ExpressionFeatures(spec.expressions, spec.variables), {}
         case feature_set:
             return feature_set, {}
+
+
+def _learner_references(settings: CampaignSettings) -> dict[str, str]:
+    """The custom code of the classifier and of the acquisition, as "module:function", by settings key."""
+    classifier = settings.classifier
+    custom = {
+        KERNEL_KEY: classifier.kernel,
+        LIKELIHOOD_KEY: classifier.likelihood,
+        MODEL_KEY: classifier.model,
+        CRITERION_KEY: settings.acquisition.criterion,
+    }
+    return {key: one.python for key, one in custom.items() if isinstance(one, sections.PythonSettings)}
 
 
 def _check_names(space: DesignSpace, simulator: Simulator) -> None:

@@ -26,7 +26,7 @@ from activefail.errors import InputError
 from activefail.files import replacing
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS
 from activefail.simulators.code_folder import sha256
-from activefail.simulators.user_code import FEATURES_KEY, digest_without_running, lies_in
+from activefail.simulators.user_code import SIMULATOR_KEY, digest_without_running, lies_in
 from activefail.trust import read_regular
 from activefail.visible import quoted
 
@@ -47,12 +47,12 @@ class KnownCode:
     Attributes:
         folder: of the code.
         is_changed: whether the folder is another one behind a link, or a source in it has changed since.
-        in_features: whether features are part of the code; otherwise only simulations need it.
+        in_learner: whether what learns is part of the code; otherwise only simulations need it.
     """
 
     folder: Path
     is_changed: bool
-    in_features: bool
+    in_learner: bool
 
 
 def known_code(run: Path) -> KnownCode | None:
@@ -67,7 +67,7 @@ def known_code(run: Path) -> KnownCode | None:
         is_same = os.path.realpath(folder) == note["real code"] and all(
             digest_without_running(reference, folder) == digest for reference, digest in sources.values()
         )
-        return KnownCode(folder, not is_same, FEATURES_KEY in sources)
+        return KnownCode(folder, not is_same, bool(sources.keys() - {SIMULATOR_KEY}))
     except _FAILURES:
         return None
 
@@ -84,7 +84,7 @@ def code_for(run: Path, *, simulates: bool, features: bool) -> Path | None:
         InputError: if the code has changed since the user agreed to it.
     """
     known = known_code(run)
-    if known is None or not (simulates or (features and known.in_features)):
+    if known is None or not (simulates or (features and known.in_learner)):
         return None
     if known.is_changed:
         command = f"activefail resume {quoted(run)} --code {quoted(known.folder)}"

@@ -377,9 +377,7 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     distance = radius(section.reach, unbounded) if unbounded else np.inf
     changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
     if PGV in section.space and PGV not in space.names:
-        from scipy.special import ndtri
-
-        median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5, ndtri))
+        median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
         if median > LARGEST_MEDIAN:
             raise InputError(
                 f"space.{PGV}: its median must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?"

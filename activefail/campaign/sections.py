@@ -19,7 +19,7 @@ from pydantic import (
 
 from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
-from activefail.names import Criterion, FeatureSet
+from activefail.names import Criterion, FeatureSet, Kernel
 from activefail.parameter import Parameter, distribution_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
 
@@ -388,6 +388,19 @@ class PythonFeaturesSettings(Section):
     variables: bool = True
 
 
+class PythonSettings(Section):
+    """Custom code of the classifier or the acquisition: a function or class.
+
+    Attributes:
+        python: the function; activefail looks for its module in the folder of the campaign file, then on Python's path.
+    """
+
+    python: _Reference
+
+    def __str__(self) -> str:
+        return self.python
+
+
 class ExpressionFeaturesSettings(Section):
     """Custom features: arithmetic expressions of the variables.
 
@@ -439,6 +452,8 @@ KINDS: dict[str, dict[str, type[Section]]] = {
     },
     "features": {"python": PythonFeaturesSettings, "expressions": ExpressionFeaturesSettings},
     "stop": {"error": Stop, "probability": ProbabilityStop},
+    "kernel": {"python": PythonSettings},
+    "criterion": {"python": PythonSettings},
 }
 """Alternative tables of a setting, by the key that only they have."""
 
@@ -469,8 +484,12 @@ class ClassifierSettings(Section):
 
     Attributes:
         features: what the classifier sees of a design.
-        kernel: covariance of the latents: squared exponential or Matérn-5/2.
-        learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary.
+        kernel: covariance of the latents: squared exponential or Matérn-5/2, or a function of the number of features
+            that returns a GPyTorch kernel.
+        likelihood: a GPyTorch likelihood of labels 0 and 1; the probit likelihood by default.
+        model: a function of features and labels that returns a BoTorch model, in place of the variational classifier.
+        learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary. With a custom kernel,
+            likelihood or model, boundaries are learned from outcomes.
     """
 
     features: Annotated[
@@ -479,21 +498,48 @@ class ClassifierSettings(Section):
         | Annotated[ExpressionFeaturesSettings, Tag(f"{WITH}expressions")],
         by_key(KINDS["features"]),
     ] = "paper"
-    kernel: Literal["rbf", "matern52"] = "rbf"
+    kernel: Annotated[
+        Annotated[Kernel, Tag(NAME)] | Annotated[PythonSettings, Tag(f"{WITH}python")], by_key(KINDS["kernel"])
+    ] = "rbf"
+    likelihood: PythonSettings | None = None
+    model: PythonSettings | None = None
     learns: str = "auto"
+
+    @model_validator(mode="after")
+    def _combine(self) -> Self:
+        if self.model is not None and (self.likelihood is not None or not isinstance(self.kernel, str)):
+            raise ValueError("model: cannot be combined with a custom `kernel` or `likelihood`")
+        if self.is_custom and self.learns not in ("auto", "outcomes"):
+            raise ValueError(
+                f"learns: must be 'auto' or 'outcomes' with a custom kernel, likelihood or model, got {self.learns!r}"
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """The kernel, or the custom model."""
+        return str(self.model or self.kernel)
+
+    @property
+    def is_custom(self) -> bool:
+        """Whether the latents are custom code."""
+        return not isinstance(self.kernel, str) or self.likelihood is not None or self.model is not None
 
 
 class AcquisitionSettings(Section):
     """How active designs are chosen.
 
     Attributes:
-        criterion: what ranks the candidates.
+        criterion: what ranks the candidates: a name, or a function of a BoTorch model that returns an acquisition
+            function over scaled features.
         boundary: outcome of the target boundary, which is that of this outcome or a worse one, or weights by outcome.
             With a custom simulator the most severe outcome by default.
         exploration: share of the proposed designs that are drawn from the whole space instead.
     """
 
-    criterion: Criterion = "entropy"
+    criterion: Annotated[
+        Annotated[Criterion, Tag(NAME)] | Annotated[PythonSettings, Tag(f"{WITH}python")], by_key(KINDS["criterion"])
+    ] = "entropy"
     boundary: str | dict[str, float] = "failure"
     exploration: float = Field(0.0, ge=0.0, le=1.0)
 

@@ -25,6 +25,7 @@ from activefail.campaign.sections import (
     Limits,
     ProbabilityStop,
     PythonFeaturesSettings,
+    PythonSettings,
     PythonSimulatorSettings,
     QuestionSettings,
     Sampling,
@@ -184,10 +185,10 @@ class CampaignSettings(Section):
     @property
     def needs_code(self) -> bool:
         """Whether the settings name custom code: functions, or a program."""
-        features = self.classifier.features
-        return isinstance(self.simulator, PythonSimulatorSettings | CommandSimulatorSettings) or isinstance(
-            features, PythonFeaturesSettings
-        )
+        simulates = isinstance(self.simulator, PythonSimulatorSettings | CommandSimulatorSettings)
+        has_features = isinstance(self.classifier.features, PythonFeaturesSettings)
+        chooses = isinstance(self.acquisition.criterion, PythonSettings)
+        return simulates or has_features or self.classifier.is_custom or chooses
 
     @property
     def is_elsewhere(self) -> bool:

@@ -117,7 +117,7 @@ class ComparisonPlan:
         return cls(
             settings,
             seeds or 5,
-            tuple(criteria) or (settings.acquisition.criterion,),
+            tuple(criteria) or (str(settings.acquisition.criterion),),
             tuple(features) or (file_features if isinstance(file_features, str) else CUSTOM,),
             tuple(static) or tuple(sorted({sampling.initial, sampling.budget})),
             test or 5000,
@@ -146,7 +146,7 @@ class ComparisonPlan:
         changes: dict[str, Any] = {"seed": arm.seed, "validation.size": 0}
         if arm.features != CUSTOM:
             changes["classifier.features"] = arm.features
-        if arm.sampling != STATIC:
+        if arm.sampling not in (STATIC, str(self.settings.acquisition.criterion)):
             changes["acquisition.criterion"] = arm.sampling
         return self.settings.changed(changes)
 

@@ -16,9 +16,14 @@ LONG = 4.0
 """Length scale [standard deviations over the space] beyond which a feature hardly matters: longer than its range."""
 
 
-def length_scales(classifier: Classifier) -> Array:
-    """Length scales in standard deviations of each feature over the design space, (boundaries, m)."""
-    return np.stack([np.exp(latent.trained.hyperparameters.log_lengthscale) for latent in classifier.latents])
+def length_scales(classifier: Classifier) -> Array | None:
+    """Length scales in standard deviations of each feature over the design space, (boundaries, m).
+
+    None if the kernel is the user's.
+    """
+    scales = [latent.length_scales for latent in classifier.latents]
+    known = [of_boundary for of_boundary in scales if of_boundary is not None]
+    return np.stack(known) if len(known) == len(scales) else None
 
 
 @styled()

@@ -130,9 +130,9 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     space = campaign.space
     # By length scale if the features are the variables; other features cannot be varied alone, so then by the
     # variables' influence on the prediction.
-    if campaign.features.names == space.names:
-        latent = findings.classifier.latents[campaign.severity - 1]
-        order = np.argsort(latent.trained.hyperparameters.log_lengthscale)
+    scales = findings.classifier.latents[campaign.severity - 1].length_scales
+    if campaign.features.names == space.names and scales is not None:
+        order = np.argsort(scales)
     else:
         order = np.argsort(-findings.influence, kind="stable")
     middle = 0.5 * (space.low + space.high)

@@ -22,7 +22,7 @@ class LearnedFrom(NamedTuple):
         margin: name of the margin; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
         is_clipped: whether the margin is clipped at a largest value.
-        support: number of simulations that predictions rest on; 0 if they rest on all.
+        support: number of inducing points that predictions use; 0 if they use all simulations.
         unusable: the one margin that it would otherwise be learned from; empty if there are several, or none.
         reason: why that margin cannot be used.
     """
@@ -51,7 +51,7 @@ class LearnedFrom(NamedTuple):
                 f"margin, {self.outcome_score:.3f} from outcomes)"
             )
         if self.support:
-            text += f"; predictions rest on {self.support:,} simulations, half of them those with the smallest margins"
+            text += f"; predictions use {self.support:,} inducing points"
         if self.is_clipped:
             text += (
                 "; this margin is clipped at its largest value and does not show a failure behind it, so "
@@ -118,8 +118,8 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
             "" if choice.margin == OUTCOMES else names[choice.margin],
             choice.margin_score,
             choice.outcome_score,
-            isinstance(latent, MarginLatent) and latent.trained.is_clipped,
-            latent.trained.size_of_support if isinstance(latent, MarginLatent) else 0,
+            isinstance(latent, MarginLatent) and latent.trained.data.is_clipped,
+            latent.trained.data.size_of_support if isinstance(latent, MarginLatent) else 0,
             candidate if reason else "",
             reason,
         )

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activefail.acquisition.criteria import binary_entropy
 from activefail.campaign.assembly import Campaign
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Predicted
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.moments import Predicted, binary_entropy
 
 CONFIDENCE = 0.95
 """Confidence of the intervals of probabilities in the report and the explorer."""

@@ -153,7 +153,7 @@ class ProbabilityFindings:
             model=model,
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             lost=lost,
-            is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
+            is_clipped=isinstance(latent, MarginLatent) and latent.trained.data.is_clipped,
         )
 
     exit_code = 0

@@ -131,7 +131,7 @@ class Summary:
             for name, share in settings.acquisition.boundaries.items()
         )
         features = features_in_words(settings)
-        return f"{settings.classifier.kernel} on {features} features, {settings.acquisition.criterion} at {targets}"
+        return f"{settings.classifier.name} on {features} features, {settings.acquisition.criterion} at {targets}"
 
     @property
     def lines(self) -> list[tuple[str, str]]:

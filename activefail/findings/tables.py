@@ -25,6 +25,7 @@ from activefail.space import Array
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from activefail.surrogate.classifier import Classifier
     from activefail.surrogate.saved import SavedClassifier
 
 _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
@@ -83,7 +84,9 @@ def _result_columns(campaign: Campaign, results: Results | History) -> dict[str,
     }
 
 
-def predictions_frame(campaign: Campaign, classifier: "SavedClassifier", X: Array, index: Any = None) -> "DataFrame":
+def predictions_frame(
+    campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array, index: Any = None
+) -> "DataFrame":
     """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments.
 
     Args:
@@ -98,7 +101,7 @@ def predictions_frame(campaign: Campaign, classifier: "SavedClassifier", X: Arra
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
 
 
-def _predicted_values(campaign: Campaign, classifier: "SavedClassifier", X: Array) -> Array:
+def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> Array:
     """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
     predicted = classifier.predicted(X)
     moments = predicted.moments[campaign.severity - 1]
@@ -194,7 +197,7 @@ def simulate_table(
 
 def predict_table(
     campaign: Campaign,
-    classifier: "SavedClassifier",
+    classifier: "Classifier | SavedClassifier",
     source: Source,
     target: Target,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,

@@ -1,25 +1,27 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeVar
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, looked, looks_from_state, looks_state
+from activefail.loop.saved_learning import margins_of, restore
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
+from activefail.simulators.user_code import KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, lost_latent, train
-from activefail.surrogate.covariance import Hyperparameters
-from activefail.surrogate.fitting import condition, fit, objective
-from activefail.surrogate.saved import SavedClassifier
-from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.fitting import MakePrior, condition, fit
+from activefail.surrogate.latent import CustomModel, Latent, Learner, VariationalGP
+from activefail.surrogate.likelihoods import Probit
+from activefail.surrogate.state import classifier_from_state, classifier_state
+from activefail.surrogate.training import train
 
 STARTED_AFRESH = 250
 """Most simulations for which hyperparameters are learned from several starts: 0.1 to 0.5 s for each further one.
@@ -31,29 +33,33 @@ _BETTER = 1.0
 """By how much the objective must be larger from another start [nats]; starts that end together differ by less."""
 
 
+def learner_of(campaign: Campaign) -> Learner:
+    """How latents are learned from outcomes."""
+    custom, kernel = campaign.learner, campaign.settings.classifier.kernel
+    if MODEL_KEY in custom:
+        return CustomModel(custom[MODEL_KEY])
+    likelihood = custom.get(LIKELIHOOD_KEY, Probit)
+    return VariationalGP(kernel if isinstance(kernel, str) else custom[KERNEL_KEY], likelihood)
+
+
 def learn_from(campaign: Campaign, history: History, warm: Classifier | None = None) -> Classifier:
     """A classifier of all simulations of a history, as the campaign's own settings train it.
 
     Raises:
         InputError: if none of them has an outcome.
     """
-    known = history.training
-    classifier = train(
-        known.designs,
-        known.outcome,
-        campaign.simulator.outcomes,
-        campaign.features,
-        campaign.settings.classifier.kernel,
-        warm,
-        margins_of(campaign, known),
-    )
-    if len(known) <= STARTED_AFRESH:
-        latents = (_from_other_starts(one) if isinstance(one, Latent) else one for one in classifier.latents)
-        classifier = replace(classifier, latents=tuple(latents))
+    known, learner = history.training, learner_of(campaign)
+    margins, outcomes = margins_of(campaign, known), campaign.simulator.outcomes
+    with campaign.custom_learner():
+        classifier = train(known.designs, known.outcome, outcomes, campaign.features, learner, warm, margins)
+        if len(known) <= STARTED_AFRESH and isinstance(learner, VariationalGP):
+            make = learner.prior
+            latents = (_from_other_starts(one, make) if isinstance(one, Latent) else one for one in classifier.latents)
+            classifier = replace(classifier, latents=tuple(latents))
     return with_lost(campaign, classifier, history)
 
 
-def _from_other_starts(latent: Latent) -> Latent:
+def _from_other_starts(latent: Latent, make: MakePrior) -> Latent:
     """The latent, or one whose hyperparameters, learned from another start, explain the same outcomes clearly better.
 
     The starts are the default one, and length scales half as long.
@@ -62,10 +68,15 @@ def _from_other_starts(latent: Latent) -> Latent:
     n, m = trained.features.shape
     if trained.learned_on < n:  # its hyperparameters were kept
         return latent
-    data = trained.features, trained.labels, trained.kernel
-    fine = Hyperparameters(trained.hyperparameters.mean, math.log(10.0), np.full(m, math.log(0.5 * math.sqrt(m))))
-    best = max(fit(*data), fit(*data, condition(*data, fine)), key=objective)
-    return Latent(best) if objective(best) > objective(trained) + _BETTER else latent
+    data = trained.features, trained.labels
+    starts = [fit(*data, make)]
+    if trained.prior.length_scales is not None:
+        fine = make(m)
+        fine.mean_module.initialize(constant=trained.prior.mean_module.constant.detach())
+        fine.covar_module.base_kernel.initialize(lengthscale=0.5 * math.sqrt(m))
+        starts.append(fit(*data, make, condition(fine.requires_grad_(False), *data)))
+    best = max(starts, key=lambda start: start.objective)
+    return Latent(best) if best.objective > trained.objective + _BETTER else latent
 
 
 def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> Classifier:
@@ -81,53 +92,11 @@ def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> C
     def latent(lost: NDArray[np.bool_]) -> Latent | None:
         if not lost.any():
             return None
-        kernel = campaign.settings.classifier.kernel
-        return lost_latent(campaign.features(history.designs), lost, kernel)
+        learner = learner_of(campaign)
+        gp = learner if isinstance(learner, VariationalGP) else VariationalGP("matern52")
+        return gp.learned(campaign.features(history.designs), lost)
 
     return replace(classifier, unknown=latent(~history.answered & ~impossible), impossible=latent(impossible))
-
-
-def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
-    """The margins that a campaign's classifier may learn from; None if it learns from outcomes alone."""
-    names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
-    if learns == "outcomes" or not names:
-        return None
-    columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
-    boundaries = range(1, len(campaign.simulator.outcomes))
-    values = np.stack([campaign.margins_at(severity, known.outcome, known.margins) for severity in boundaries])
-    return LearnableMargins(values, campaign.levels, columns, learns != "auto")
-
-
-AnyClassifier = TypeVar("AnyClassifier", Classifier, SavedClassifier)
-
-
-def restore(
-    campaign: Campaign, store: Store, through: int, build: Callable[..., AnyClassifier]
-) -> tuple[int, Looks, AnyClassifier] | None:
-    """The newest valid state up to iteration `through`: its iteration, looks and classifier; None if there is none.
-
-    Args:
-        campaign: the campaign of the state.
-        store: the store that holds it.
-        through: the last recorded iteration.
-        build: `classifier_from_state`, or `saved_classifier` for predictions alone.
-    """
-    kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
-    while (saved := store.latest_state()) is not None and saved[0] <= through:
-        iteration, state = saved
-        history = History.of(store.batches).through(iteration)
-        known = history.training
-        try:
-            looks = looks_from_state(campaign, state)
-            margins = margins_of(campaign, known)
-            classifier = build(state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins)
-            if isinstance(classifier, Classifier):
-                classifier = with_lost(campaign, classifier, history)
-            return iteration, looks, classifier
-        # Whatever is wrong with a state, the record teaches the same again.
-        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, DamagedError) as error:
-            store.reject_state(iteration, f"cannot be used ({type(error).__name__})")
-    return None
 
 
 @dataclass(frozen=True)
@@ -167,6 +136,15 @@ class Learned:
         return self.simulations == len(history.through(self.iteration))
 
 
+def _learned_of(campaign: Campaign, iteration: int, state: dict[str, NDArray[Any]], history: History) -> Learned:
+    """What a saved state says was learned."""
+    known, looks = history.training, looks_from_state(campaign, state)
+    data = known.designs, known.outcome, campaign.simulator.outcomes
+    margins = margins_of(campaign, known)
+    classifier = classifier_from_state(state, *data, campaign.features, learner_of(campaign), margins)
+    return Learned(iteration, len(history), with_lost(campaign, classifier, history), looks)
+
+
 def current(campaign: Campaign, store: Store, write: bool, before: Learned | None = None) -> Learned:
     """What a campaign has learned from all recorded batches, bit for bit as in the running loop.
 
@@ -181,8 +159,8 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
     history = History.of(store.batches)
     learned = before
     if learned is None or not learned.holds(history):
-        saved = restore(campaign, store, history.last_iteration, classifier_from_state)
-        learned = None if saved is None else Learned(saved[0], len(history.through(saved[0])), saved[2], saved[1])
+        saved = restore(store, history.last_iteration, partial(_learned_of, campaign))
+        learned = None if saved is None else saved[1]
     first = history.first_learnable if learned is None else learned.iteration + 1
     for iteration in range(first, history.last_iteration + 1):
         learned = Learned.after(campaign, history, iteration, learned)
@@ -190,13 +168,6 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
             store.write_state(iteration, learned.state)
     assert learned is not None
     return learned
-
-
-def saved_current(campaign: Campaign, store: Store) -> SavedClassifier | None:
-    """The classifier of all recorded batches, for predictions alone; None if no saved state holds it."""
-    last = History.of(store.batches).last_iteration
-    saved = restore(campaign, store, last, saved_classifier)
-    return saved[2] if saved is not None and saved[0] == last else None
 
 
 def classifier_after(campaign: Campaign, history: History) -> Classifier:

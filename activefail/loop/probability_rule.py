@@ -127,7 +127,7 @@ def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
-    return isinstance(latent, MarginLatent) and latent.trained.is_clipped
+    return isinstance(latent, MarginLatent) and latent.trained.data.is_clipped
 
 
 LOOKS, KNOWN = "stop/looks", "stop/known"

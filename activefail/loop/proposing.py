@@ -1,11 +1,12 @@
 """What a campaign simulates after its initial design: what the criterion ranks highest, or the stop rule's check."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from activefail.acquisition.batch_proposal import Search, propose_shared
-from activefail.acquisition.criteria import criterion
+from activefail.acquisition.criteria import criterion, custom_criterion
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
@@ -14,6 +15,7 @@ from activefail.loop.learning import Learned
 from activefail.loop.probability_rule import check_designs, needs_check
 from activefail.record.asked import are_among
 from activefail.record.batch import ACTIVE, CHECK
+from activefail.simulators.user_code import CRITERION_KEY
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -101,11 +103,13 @@ def next_designs(
         chosen: number of earlier active designs; the shares of boundaries and exploration carry over between batches.
         pending: (k, d) designs in flight, without a result yet.
     """
-    settings = campaign.settings
-    return propose_shared(
+    settings, name = campaign.settings, campaign.settings.acquisition.criterion
+    chosen_by = criterion(name) if isinstance(name, str) else custom_criterion(campaign.learner[CRITERION_KEY])
+    propose = partial(
+        propose_shared,
         classifier,
         campaign.space,
-        criterion(settings.acquisition.criterion),
+        chosen_by,
         boundaries=settings.acquisition.boundaries,
         exploration=settings.acquisition.exploration,
         first=chosen,
@@ -116,6 +120,8 @@ def next_designs(
         unseen=search_for_unseen(campaign, history, classifier),
         widening=1.0 if settings.probability_rule is None else WIDENING,
     )
+    with campaign.custom_learner():
+        return propose()
 
 
 def search_for_unseen(campaign: Campaign, history: History, classifier: Classifier) -> Search | None:

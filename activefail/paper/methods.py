@@ -15,7 +15,7 @@ from activefail.errors import InputError
 from activefail.paper import gpml
 from activefail.paper.gpml import GaussianApproximation, SiteParameters, SquaredExponentialPrior
 from activefail.space import Array
-from activefail.surrogate.classifier import Moments
+from activefail.surrogate.moments import Moments
 
 Labels = NDArray[np.bool_]
 Method = Literal["laplace", "ep"]

@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -25,8 +26,8 @@ from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
 from activefail.paper.published import tilted
 from activefail.space import Array
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.fitting import fit
+from activefail.surrogate.fitting import fit, make_prior
+from activefail.surrogate.latent import Latent
 
 SIZE = 250
 """Simulations of one draw, as in the paper."""
@@ -214,9 +215,11 @@ def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
             scales = process.hyperparameters.length_scales
             return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
         case _:
-            fitted = fit(torch.from_numpy(F), torch.from_numpy(np.where(failed, 1.0, -1.0)), "rbf")
-            scales = np.exp(fitted.hyperparameters.log_lengthscale)
-            latent = Latent(fitted)
+            latent = Latent(
+                fit(torch.from_numpy(F), torch.from_numpy(failed.astype(float)), partial(make_prior, "rbf"))
+            )
+            assert latent.length_scales is not None
+            scales = latent.length_scales
             # Its weak prior keeps length scales finite, and its search always ends at a minimum.
             return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.space import Array, DesignSpace, radius
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.margin import AnyLatent, MarginLatent
 
 _POOL = 2048
 """Candidates for each place."""
@@ -57,9 +56,7 @@ def is_whole(designs: int, answered: int) -> bool:
     return answered >= _ANSWERED * designs
 
 
-def contradictions(
-    latent: Latent | MarginLatent, F: Array, beyond: NDArray[np.bool_], margin: Array | None
-) -> NDArray[np.bool_]:
+def contradictions(latent: AnyLatent, F: Array, beyond: NDArray[np.bool_], margin: Array | None) -> NDArray[np.bool_]:
     """Which simulations, (n,), contradict a latent that has not seen them: a wrong side, or a margin far off.
 
     Args:

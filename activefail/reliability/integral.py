@@ -17,7 +17,9 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
 from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent, predicted
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import Latent
+from activefail.surrogate.moments import predicted
 from activefail.weighted import WeightedRows
 
 Standardised = Callable[[Array], Array]

@@ -10,8 +10,9 @@ from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_
 from activefail.features import FeatureMap
 from activefail.reliability.integral import ACCURACY, BoundariesOf, Lost, OfBoundary, both, integrate
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import Latent
+from activefail.surrogate.margin import AnyLatent, MarginLatent
 
 _PATHS = 200
 """Joint paths of the latent that give the standard deviation of the probability."""
@@ -97,7 +98,7 @@ def posterior_sd(
     return float(part.mean()) * float(deviations.mean(axis=1).std()) / share
 
 
-def _paths(latent: Latent | MarginLatent, F: Array, rng: np.random.Generator) -> Array:
+def _paths(latent: AnyLatent, F: Array, rng: np.random.Generator) -> Array:
     """Joint paths of a latent at scaled features, (n, m) -> (paths, n)."""
     mean, covariance = latent.joint(F)
     values, vectors = np.linalg.eigh(covariance)

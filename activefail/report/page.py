@@ -42,8 +42,8 @@ from activefail.report.evidence import Curve, Evidence, Reliability
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
 from activefail.simulators.bearing import DfpSimulator, terms_of
-from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
@@ -100,10 +100,11 @@ def _curve(findings: Findings, curve: Curve | None) -> dict[str, Any]:
     }
 
 
-def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
+def _pairs(findings: Findings, scales: NDArray[np.float64] | None) -> dict[str, Any]:
     campaign = findings.campaign
     features, names = campaign.features, quantities.features(campaign)
-    shown = sorted(np.argsort(scales[campaign.severity - 1], kind="stable")[:MOST_PAIRED].tolist())
+    first = range(len(names)) if scales is None else np.argsort(scales[campaign.severity - 1], kind="stable")
+    shown = sorted(int(column) for column in first[:MOST_PAIRED])
     rows = findings.answered & ~findings.given
     if not rows.any():
         rows = findings.answered
@@ -219,7 +220,7 @@ def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
     for number, latent in enumerate(classifier.latents):
         is_margin = isinstance(latent, MarginLatent)
         name = campaign.simulator.margins[classifier.choices[number].margin] if is_margin else ""
-        kernel = MARGIN_KERNEL if is_margin else campaign.settings.classifier.kernel
+        kernel = MARGIN_KERNEL if is_margin else campaign.settings.classifier.name
         rows.append((campaign.simulator.outcomes[number + 1], name, kernel))
     return rows
 
@@ -315,7 +316,7 @@ def render(
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
         "reliability": _reliability(findings, evidence.reliability),
-        "scales": _scales(findings, scales),
+        "scales": None if scales is None else _scales(findings, scales),
         "uncertain": _uncertain(findings),
         "done": done,
         "unseen": Summary.of(settings, campaign.schema, history, store.asked).unseen_warning,

@@ -4,24 +4,16 @@ To first order, a projection on inducing points loses ½ Σ W_i rest_i of the bo
 the precision of each point's site. So the points are chosen greedily by that product, a pivoted Cholesky factorisation
 of W^½ K W^½, until the sum is small. Points deep inside a region have little precision and get few inducing points;
 without the weights, four times as many points are needed for the same bound.
-
-GPyTorch's model of the result (`activefail.surrogate.classifier.Latent.model`) uses the same inducing points; tests
-compare its posterior and bound with those here.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
-from activefail.surrogate.covariance import JITTER, Hyperparameters, covariance, prior_covariance
+import torch
+from torch import Tensor
+
+from activefail.surrogate.covariance import JITTER
+from activefail.surrogate.kernels import Prior
 from activefail.surrogate.sites import Projection, column_squares, whitened
-
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
-else:
-    from activefail.surrogate import lazy_torch as torch
 
 LEFT = 1.0
 """Σ W_i rest_i below which no more inducing points are added; measured, it costs at most a fifth of a nat."""
@@ -36,34 +28,35 @@ _STALE = 0.25
 """A candidate of a block is chosen while its value is at least this share of the block's first."""
 
 
-def project(
-    features: Tensor, rows: Tensor, kernel: str, hyperparameters: Hyperparameters, at: Tensor | None = None
-) -> Projection:
-    """The prior at features, (n, d), or at `at`, projected on inducing points, rows (m,) of the features."""
+def jittered(K: Tensor) -> Tensor:
+    """K, (n, n), with the jitter on its diagonal, in place."""
+    K.diagonal().add_(JITTER)
+    return K
+
+
+@torch.no_grad()
+def project(prior: Prior, features: Tensor, rows: Tensor) -> Projection:
+    """The prior at features, (n, d), projected on inducing points, rows (m,) of them."""
     Z = features[rows]
-    L = torch.linalg.cholesky(prior_covariance(Z, kernel, hyperparameters))
-    K = covariance(kernel, hyperparameters, Z, features if at is None else at)
-    _, V = whitened(L, K)
-    return Projection(V, _rest(V, hyperparameters))
+    L = torch.linalg.cholesky(jittered(prior.covariance(Z)))
+    _, V = whitened(L, prior.covariance(Z, features))
+    return _projection(prior, features, V)
 
 
-def _rest(V: Tensor, hyperparameters: Hyperparameters) -> Tensor:
+def _projection(prior: Prior, features: Tensor, V: Tensor) -> Projection:
     # GPyTorch's strategy also adds the jitter to a point's variance.
-    prior_variance = math.exp(hyperparameters.log_outputscale) + JITTER
-    return (prior_variance - column_squares(V)).clamp_min(JITTER)
+    rest = prior.variance(features) + JITTER - column_squares(V)
+    return Projection(prior.mean_module(features), V, rest.clamp_min(JITTER))
 
 
+@torch.no_grad()
 def choose(
-    features: Tensor,
-    precision: Tensor,
-    kernel: str,
-    hyperparameters: Hyperparameters,
-    rows: Tensor | None = None,
-    most: int = MOST,
+    prior: Prior, features: Tensor, precision: Tensor, rows: Tensor | None = None, most: int = MOST
 ) -> tuple[Tensor, Projection]:
     """Inducing points, rows (m,) of the features, and the projection on them.
 
     Args:
+        prior: with its parameters.
         features: (n, d).
         precision: (n,) current precision of the sites.
         rows: inducing points to keep; others are added.
@@ -73,8 +66,8 @@ def choose(
     chosen = [] if rows is None else rows.tolist()
     V = torch.empty((most, n), dtype=features.dtype)
     if rows is not None:
-        V[: len(rows)] = project(features, rows, kernel, hyperparameters).whitened
-    rest = (_rest(V[: len(chosen)], hyperparameters) - JITTER).clamp_min_(0.0)
+        V[: len(rows)] = project(prior, features, rows).whitened
+    rest = (prior.variance(features) - column_squares(V[: len(chosen)])).clamp_min_(0.0)
     rest[chosen] = 0.0
     while len(chosen) < min(most, n):
         worth = precision * rest
@@ -83,7 +76,7 @@ def choose(
         m = len(chosen)
         block = torch.topk(worth, min(_BLOCK, n)).indices
         # The block's covariances less what the present inducing points explain, (block, n).
-        C = covariance(kernel, hyperparameters, features[block], features).addmm_(V[:m, block].T, V[:m], alpha=-1.0)
+        C = prior.covariance(features[block], features).addmm_(V[:m, block].T, V[:m], alpha=-1.0)
         first = float(worth[block[0]])
         for _ in range(min(len(block), most - m)):
             i = int(torch.argmax(precision[block] * rest[block]))
@@ -97,5 +90,4 @@ def choose(
             rest -= v * v
             rest[row] = 0.0
             rest.clamp_min_(0.0)
-    V = V[: len(chosen)]
-    return torch.tensor(chosen, dtype=torch.int64), Projection(V, _rest(V, hyperparameters))
+    return torch.tensor(chosen, dtype=torch.int64), _projection(prior, features, V[: len(chosen)])

@@ -5,26 +5,16 @@ Evidence decides: the log probability that each model gives to the side of a des
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from activefail.space import Array
-from activefail.surrogate.fitting import Fit, fit, leave_one_out
-from activefail.surrogate.margin import MarginFit, fit_margin, is_truncated
-
-if TYPE_CHECKING:
-    import torch
-else:
-    from activefail.surrogate import lazy_torch as torch
 
 OUTCOMES = -1
 """The choice of the outcomes alone."""
-
-_COMPARED = 200
-"""Most simulations on which the models are compared."""
 
 _GROWTH = 0.5
 """Growth of the number of simulations after which the models are compared again."""
@@ -81,12 +71,6 @@ def defined(margin: Array) -> tuple[Array, bool]:
     return np.where(undefined, 0.0, margin), bool(undefined.any())
 
 
-def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None) -> MarginFit:
-    """The regression of a usable margin, (n,), at scaled features, (n, m)."""
-    values, has_undefined = defined(margin)
-    return fit_margin(F, values, has_undefined or is_truncated(values), warm)
-
-
 def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:
     """Whether the models must be compared (again)."""
     if previous is None or n >= (1.0 + _GROWTH) * previous.simulations:
@@ -94,40 +78,32 @@ def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:
     return bool(previous.one_sided and beyond.any() and not beyond.all())
 
 
-def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequence[int], kernel: str) -> Choice:
-    """Choose by the evidence of the first 200 simulations or fewer.
+@dataclass(frozen=True)
+class LearnableMargins:
+    """The margins that a classifier may learn from.
 
-    With all designs on one side a classifier knows nothing, so a usable margin is chosen without a comparison.
-
-    Args:
-        F: (n, m) scaled features.
-        beyond: (n,) whether each outcome is beyond the boundary.
-        margins: (n, k) margins of the simulator.
-        columns: the margins that may be chosen.
-        kernel: of the classifier.
+    Attributes:
+        values: (b, n, k) float64, for each boundary one column for each of the simulator's margins, at most 0 beyond.
+        levels: (b, k) at or below which a margin of the simulator is beyond each boundary.
+        columns: those that may be chosen.
+        required: whether the one column must be used, without a comparison.
     """
-    n, one_sided = len(F), bool(beyond.all() or not beyond.any())
-    candidates = [column for column in columns if not usable(margins[:, column], beyond)]
-    if not candidates:
-        return Choice(OUTCOMES, n, one_sided=one_sided)
-    # Evenly spread over the rows, so that both the initial design and the active designs count.
-    rows = np.unique(np.linspace(0, n - 1, min(n, _COMPARED)).round().astype(int))
-    scores = {}
-    for column in candidates:
-        if usable(margins[rows, column], beyond[rows]):
-            continue
-        scores[column] = fit_defined(F[rows], margins[rows, column]).sign_score()
-    if not scores:
-        return Choice(OUTCOMES, n, one_sided=one_sided)
-    best = max(scores, key=scores.__getitem__)
-    if one_sided:
-        return Choice(best, n, scores[best], one_sided=True)
-    labels = np.where(beyond[rows], 1.0, -1.0)
-    score = outcome_score(fit(torch.from_numpy(F[rows]), torch.from_numpy(labels), kernel))
-    return Choice(best if scores[best] >= score else OUTCOMES, n, scores[best], score)
+
+    values: Array
+    levels: Array
+    columns: tuple[int, ...]
+    required: bool = False
 
 
-def outcome_score(trained: Fit) -> float:
-    """Mean log probability of left-out designs' sides under a classifier [nat]."""
-    mean, sd = leave_one_out(trained)
-    return float(log_ndtr(trained.labels.numpy() * mean / np.sqrt(1.0 + sd**2)).mean())
+def learned_with(choices: Sequence[Choice], severity: int) -> int:
+    """The boundary whose latent a boundary shares: the most severe one that is learned from the same margin."""
+    if not choices or (margin := choices[severity - 1].margin) == OUTCOMES:
+        return severity
+    return max(other for other, choice in enumerate(choices, start=1) if choice.margin == margin)
+
+
+def level_of(margins: LearnableMargins | None, choices: Sequence[Choice], severity: int) -> float:
+    """The level of a boundary's margin, in relation to the boundary whose latent it shares."""
+    assert margins is not None
+    levels = margins.levels[:, choices[severity - 1].margin]
+    return float(levels[severity - 1] - levels[learned_with(choices, severity) - 1])

@@ -1,11 +1,35 @@
 """Moments of a latent, and the probabilities that follow from them."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, log_softmax, logsumexp, ndtr, ndtri_exp
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, log_softmax, logsumexp, ndtr, ndtri, ndtri_exp, xlogy
 
+from activefail.features import FeatureMap
 from activefail.space import Array
+
+LARGEST_FEATURE = 1e3
+"""Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space. Far outside the
+space nothing is known, and one huge number would dominate the sums of squares in the covariance of the other rows."""
+
+ROWS_AT_ONCE = 4096
+"""Most rows per call of a prediction, which limits its memory to n x 4096 numbers."""
+
+
+def in_parts(F: Array, predict: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Mean and standard deviation at scaled features, (n, m), each (n,), by a prediction of some rows."""
+    F = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE)
+    parts = [predict(F[first : first + ROWS_AT_ONCE]) for first in range(0, max(1, len(F)), ROWS_AT_ONCE)]
+    mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return mean, sd
+
+
+def binary_entropy(p: Array) -> Array:
+    """h(p) = −p log₂ p − (1−p) log₂(1−p) [bit]."""
+    return np.asarray(-(xlogy(p, p) + xlogy(1.0 - p, 1.0 - p)) / np.log(2.0))
 
 
 class Moments(NamedTuple):
@@ -49,6 +73,32 @@ class MarginMoments(Moments):
         return np.copysign(np.inf, self.mean + shift * self.sd)
 
 
+class LinkedMoments(Moments):
+    """Moments of a latent with another likelihood than the probit.
+
+    Attributes:
+        link: latent means and standard deviations, each (n,) -> P(beyond the boundary), (n,).
+    """
+
+    link: Callable[[Array, Array], Array]
+
+    @classmethod
+    def of(cls, mean: Array, sd: Array, link: Callable[[Array, Array], Array]) -> "LinkedMoments":
+        """Moments with a link."""
+        moments = cls(mean, sd)
+        moments.link = link
+        return moments
+
+    @property
+    def standardised(self) -> Array:
+        """The probit of `probability`, shape (n,)."""
+        return np.asarray(ndtri(self.link(self.mean, self.sd)))
+
+    def known(self, shift: float) -> Array:
+        """As for `Moments`."""
+        return np.asarray(ndtri(self.link(self.mean + shift * self.sd, np.full_like(self.sd, 1e-4))))
+
+
 def _consistent(z: Array) -> Array:
     """Logarithms of the probabilities of outcomes, (n, b + 1), from the probits of b latents, (n, b).
 
@@ -84,3 +134,70 @@ def nested_probits(z: Array, is_nested: bool) -> Array:
     beyond = np.minimum(np.column_stack([logsumexp(p[:, i:], axis=1) for i in severities]), 0.0)
     short = np.minimum(np.column_stack([logsumexp(p[:, :i], axis=1) for i in severities]), 0.0)
     return np.asarray(np.where(beyond < short, ndtri_exp(beyond), -ndtri_exp(short)))
+
+
+def is_nested(latents: Sequence[Any]) -> bool:
+    """Whether all boundaries are levels of one margin's regression."""
+    regressions = [latent.regression for latent in latents]
+    return regressions[0] is not None and all(one is regressions[0] for one in regressions)
+
+
+CERTAIN = 38.0
+"""Probit of what is certain: a probability of 10⁻³¹⁶, the least that a float holds."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What a classifier says of n designs: the one source of every probability of an outcome.
+
+    Attributes:
+        moments: of each boundary's latent.
+        is_nested: whether the boundaries are levels of one latent (see `outcome_probabilities`).
+        harmless: (n,) which designs have the least severe outcome for certain, whatever the latents say.
+    """
+
+    moments: tuple[Moments, ...]
+    is_nested: bool
+    harmless: NDArray[np.bool_]
+
+    @property
+    def probabilities(self) -> Array:
+        """Of each outcome of one simulation, (n, outcomes); rows sum to 1.
+
+        The outcomes that a boundary is learned from count as noisy, which allows for structure too fine to learn: the
+        probit is mean/√(1 + sd²). That of a margin's boundary is mean/sd.
+        """
+        return outcome_probabilities(self._probits([one.standardised for one in self.moments]), self.is_nested)
+
+    def _probits(self, of_boundaries: Sequence[Array]) -> Array:
+        z = np.column_stack(of_boundaries)
+        z[self.harmless] = -CERTAIN
+        return z
+
+    @property
+    def boundaries(self) -> Array:
+        """The probits of P(at least as severe), without noise, (n, b): what is integrated over many designs.
+
+        The simulator is deterministic, and the noise of labels would put a floor under a small probability.
+        """
+        return nested_probits(self._probits([one.side for one in self.moments]), self.is_nested)
+
+    def beyond(self, severity: int, shift: float | None = None) -> Array:
+        """P(at least as severe as outcome `severity`) of one simulation, (n,).
+
+        Args:
+            severity: number of the outcome.
+            shift: of the boundary's latent from its mean, in standard deviations, if it were known.
+        """
+        one = self.moments[severity - 1]
+        of_boundaries = [of.standardised for of in self.moments]
+        if shift is not None:
+            of_boundaries[severity - 1] = one.known(shift)
+        z = self._probits(of_boundaries)
+        return np.asarray(np.minimum(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1), 1.0))
+
+
+def predicted(latents: Sequence[Any], features: FeatureMap, X: Array, F: Array | None = None) -> Predicted:
+    """What latents say of designs, (n, d), whose scaled features, (n, m), are F if the caller has them already."""
+    F = features(X) if F is None else F
+    return Predicted(tuple(latent.moments(F) for latent in latents), is_nested(latents), features.certain(X))

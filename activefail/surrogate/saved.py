@@ -1,99 +1,124 @@
 """A trained classifier for predictions alone, without torch, whose import takes longer than they do.
 
-Its moments are those of `activefail.surrogate.classifier` up to rounding: the same formulas by SciPy's LAPACK and BLAS.
+It reads the built-in kernels. Its moments are those of the GPyTorch models up to rounding.
 """
 
-import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, eigh, solve_triangular
 
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent, Predicted, predicted
-from activefail.surrogate.covariance import JITTER, SavedHyperparameters, covariance_array
-from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginFit, MarginLatent
-from activefail.surrogate.moments import Moments
+from activefail.surrogate.censored import CensoredSites
+from activefail.surrogate.covariance import JITTER, NUGGET, correlation
+from activefail.surrogate.margin_choice import OUTCOMES, Choice, LearnableMargins, defined, learned_with, level_of
+from activefail.surrogate.margin_data import KERNEL, WARPINGS, MarginData
+from activefail.surrogate.moments import MarginMoments, Moments, Predicted, in_parts, predicted
+from activefail.surrogate.readout import Readout, Trend, of_all, of_inducing, regression
+
+State = Mapping[str, NDArray[Any]]
+"""The arrays of `state.classifier_state`."""
+
+SCALING = ("features/center", "features/spread")
+"""The scaling of the features, for predictions alone."""
+
+
+_FORMER = {
+    "mean": "mean_module.raw_constant",
+    "log_outputscale": "covar_module.raw_outputscale",
+    "log_lengthscale": "covar_module.base_kernel.raw_lengthscale",
+}
+"""The names of a prior's parameters in states of version 0.2, and those since."""
+
+
+def of_any_version(state: State) -> State:
+    """A state with the names of this version.
+
+    Raises:
+        ValueError: if it holds a regression of version 0.2 whose support was a part of the points.
+    """
+    if any(name.endswith("/support") for name in state):
+        raise ValueError
+    named = {}
+    for name, array in state.items():
+        outcome, _, key = name.rpartition("/")
+        shape = (1, -1) if key == "log_lengthscale" else array.shape
+        named[f"{outcome}/{_FORMER[key]}" if key in _FORMER else name] = array.reshape(shape)
+    return named
+
+
+@dataclass(frozen=True)
+class SavedPrior:
+    """A constant mean and a built-in kernel.
+
+    Attributes:
+        kernel: as for `covariance.correlation`.
+        mean, variance: of the latent.
+        length_scales: (m,).
+    """
+
+    kernel: str
+    mean: float
+    variance: float
+    length_scales: Array
+
+    @classmethod
+    def of(cls, kernel: str, state: State, name: str) -> "SavedPrior":
+        """The prior of a boundary in a state."""
+        parameters = (
+            "mean_module.raw_constant",
+            "covar_module.raw_outputscale",
+            "covar_module.base_kernel.raw_lengthscale",
+        )
+        mean, log_variance, log_scales = (state[f"{name}/{parameter}"] for parameter in parameters)
+        with np.errstate(over="raise"):
+            np.exp(2.0 * np.append(log_scales[0], log_variance))  # every scale is a number
+        return cls(kernel, float(mean), float(np.exp(log_variance)), np.exp(log_scales[0]))
+
+    def covariance(self, F: Array, G: Array, jitter: float | None = None) -> Array:
+        """k(F, G), (n, l), with a jitter on its diagonal."""
+        K = self.variance * correlation(self.kernel, F / self.length_scales, G / self.length_scales)
+        if jitter is not None:
+            K[np.diag_indices(len(K))] += jitter
+        return K
 
 
 @dataclass(frozen=True)
 class SavedLatent:
-    """The latent of a boundary that was learned from outcomes.
+    """The latent of a boundary.
 
     Attributes:
-        kernel: as for `covariance_array`.
-        features: (n, m) scaled features of the training points.
-        hyperparameters: of the prior.
-        linear, precision: (n,) Gaussian sites (`activefail.surrogate.sites`).
-        inducing: rows of the inducing points; None if the posterior is that of all points.
+        prior: of the latent, or of the warped margin.
+        support: (s, m) scaled features.
+        readout, trend: the matrices of predictions.
+        jitter: added to the variance of a point, and its least value.
+        regression: of its margin, by which boundaries of one margin know each other; None if there is none.
+        threshold: the level of the margin in its regression's units.
     """
 
-    kernel: str
-    features: Array
-    hyperparameters: SavedHyperparameters
-    linear: Array
-    precision: Array
-    inducing: NDArray[np.int64] | None
-
-    @classmethod
-    def of(cls, latent: Latent) -> "SavedLatent":
-        """The same latent, for predictions alone."""
-        fit = latent.trained
-        return cls(
-            fit.kernel,
-            latent.features,
-            SavedHyperparameters(*fit.hyperparameters),
-            fit.sites.linear.numpy(),
-            fit.sites.precision.numpy(),
-            None if fit.inducing is None else fit.inducing.numpy(),
-        )
-
-    def _prior(self, F: Array) -> Array:
-        K = covariance_array(self.kernel, self.hyperparameters, F, F)
-        K[np.diag_indices(len(K))] += JITTER
-        return K
-
-    @cached_property
-    def _readout(self) -> tuple[Array, Array, Array]:
-        """Support points, (k, m), their weights, (k,), and root, (k, k), as in `fitting.Readout`."""
-        F, precision = self.features, self.precision
-        pull = self.linear - precision * self.hyperparameters.mean
-        if self.inducing is None:
-            root = np.sqrt(precision)
-            K = self._prior(F)
-            L = cholesky(np.eye(len(F)) + root[:, None] * K * root, lower=True)
-            weights = pull - root * cho_solve((L, True), root * (K @ pull))
-            return F, weights, solve_triangular(L, np.diag(root), lower=True)
-        Z = F[self.inducing]
-        L = cholesky(self._prior(Z), lower=True)
-        V = solve_triangular(L, covariance_array(self.kernel, self.hyperparameters, Z, F), lower=True)
-        A = np.eye(len(Z)) + (V * precision) @ V.T
-        eigenvalues, Q = eigh(A)
-        shrunk = Q * np.sqrt(1.0 - 1.0 / np.maximum(eigenvalues, 1.0))
-        v = cho_solve((cholesky(A, lower=True), True), V @ pull)
-        return (
-            Z,
-            solve_triangular(L, v, lower=True, trans="T"),
-            solve_triangular(L, shrunk, lower=True, trans="T").T,
-        )
+    prior: SavedPrior
+    support: Array
+    readout: Readout
+    trend: Trend | None = None
+    jitter: float = JITTER
+    regression: MarginData | None = None
+    threshold: float = 0.0
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
-        F = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE)
-        rows = range(0, max(1, len(F)), ROWS_AT_ONCE)
-        mean, sd = zip(*(self._moments(F[first : first + ROWS_AT_ONCE]) for first in rows), strict=True)
-        return Moments(np.concatenate(mean), np.concatenate(sd))
+        mean, sd = in_parts(F, self._moments)
+        return Moments(mean, sd) if self.regression is None else MarginMoments(self.threshold - mean, sd)
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
-        support, weights, root = self._readout
-        k = covariance_array(self.kernel, self.hyperparameters, support, F)
-        shrinkage = root @ k
-        explained = np.einsum("ij,ij->j", shrinkage, shrinkage)
-        variance = math.exp(self.hyperparameters.log_outputscale) + JITTER - explained
-        return self.hyperparameters.mean + k.T @ weights, np.sqrt(np.maximum(variance, JITTER))
+        k = self.prior.covariance(F, self.support)
+        shrunk = k @ self.readout.root.T
+        variance = self.prior.variance + self.jitter - np.einsum("ij,ij->i", shrunk, shrunk)
+        if self.trend is not None:
+            variance += (1.0 - k @ self.trend.ones) ** 2 / self.trend.total
+        return self.prior.mean + k @ self.readout.weights, np.sqrt(np.maximum(variance, self.jitter))
 
 
 @dataclass(frozen=True)
@@ -108,23 +133,118 @@ class SavedClassifier:
 
     outcomes: tuple[str, ...]
     features: FeatureMap
-    latents: tuple[SavedLatent | MarginLatent, ...]
-
-    @classmethod
-    def of(cls, classifier: Classifier) -> "SavedClassifier":
-        """The same classifier, for predictions alone."""
-        regressions = {id(of.trained): _regression(of) for of in classifier.latents if isinstance(of, MarginLatent)}
-        latents = (
-            SavedLatent.of(of) if isinstance(of, Latent) else replace(of, trained=regressions[id(of.trained)])
-            for of in classifier.latents
-        )
-        return cls(classifier.outcomes, classifier.features, tuple(latents))
+    latents: tuple[SavedLatent, ...]
 
     def predicted(self, X: Array) -> Predicted:
         """As for `Classifier`."""
         return predicted(self.latents, self.features, X)
 
 
-def _regression(latent: MarginLatent) -> MarginFit:
-    trained = latent.trained
-    return replace(trained, hyperparameters=SavedHyperparameters(*trained.hyperparameters))
+def saved_classifier(
+    state: State,
+    X: Array,
+    outcomes: Sequence[str],
+    features: FeatureMap,
+    kernel: str,
+    margins: LearnableMargins | None = None,
+) -> SavedClassifier:
+    """The classifier from its `state.classifier_state`, for predictions alone, with the scaling of the features there.
+
+    Args:
+        state: the arrays.
+        X: (n, d) training designs.
+        outcomes, features, margins: as in training.
+        kernel: name of a built-in kernel.
+
+    Raises:
+        ArithmeticError, LookupError, RuntimeError, TypeError, ValueError: if training cannot produce the arrays, or
+            they give no predictions.
+    """
+    state = of_any_version(state)
+    center, spread = (state[name] for name in SCALING)
+    features = replace(features, known=(center, spread))
+    F = features(X)
+    regressions = dict[str, SavedLatent]()
+    latents = []
+    for source in sources(state, outcomes, margins):
+        if source.margin is None:
+            latents.append(_of_outcomes(state, source.name, kernel, F))
+            continue
+        if source.name not in regressions:
+            regressions[source.name] = _of_margin(state, source.name, F, source.margin)
+        latent = regressions[source.name]
+        assert latent.regression is not None
+        latents.append(replace(latent, threshold=float(latent.regression.warped(np.array(source.level)))))
+    for latent in latents:
+        check(latent, F)
+    return SavedClassifier(tuple(outcomes), features, tuple(latents))
+
+
+def _of_outcomes(state: State, name: str, kernel: str, F: Array) -> SavedLatent:
+    prior, inducing = SavedPrior.of(kernel, state, name), state.get(f"{name}/inducing")
+    sites = prior.mean, state[f"{name}/site_linear"], state[f"{name}/site_precision"]
+    if inducing is None:
+        return SavedLatent(prior, F, of_all(prior.covariance(F, F, JITTER), *sites))
+    Z = F[inducing]
+    return SavedLatent(prior, Z, of_inducing(prior.covariance(Z, Z, JITTER), prior.covariance(Z, F), *sites))
+
+
+def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
+    prior, data = SavedPrior.of(KERNEL, state, name), margin_data(state, name, F, margin)
+    nugget, support = NUGGET * prior.variance, data.support
+    Kx = None if data.inducing is None else prior.covariance(support, data.points)
+    variance = np.full(len(data.points), prior.variance)
+    K, observed = prior.covariance(support, support), data.observed(nugget)
+    readout, trend, _ = regression(K, Kx, variance, prior.mean, *observed, nugget)
+    return SavedLatent(prior, support, readout, trend, nugget, data)
+
+
+class Source(NamedTuple):
+    """What a boundary was learned from."""
+
+    name: str  # of the outcome whose arrays hold it
+    margin: Array | None  # (n,); None if it was learned from outcomes
+    level: float = 0.0  # of the margin
+
+
+def sources(state: State, outcomes: Sequence[str], margins: LearnableMargins | None) -> Iterator[Source]:
+    """What the boundary of each outcome but the first was learned from."""
+    choices = choices_of(state, outcomes, margins)
+    for severity, name in enumerate(outcomes[1:], start=1):
+        if margins is None or choices[severity - 1].margin == OUTCOMES:
+            yield Source(name, None)
+            continue
+        shared = learned_with(choices, severity)
+        margin = margins.values[shared - 1][:, choices[severity - 1].margin]
+        yield Source(outcomes[shared], margin, level_of(margins, choices, severity))
+
+
+def choices_of(state: State, outcomes: Sequence[str], margins: LearnableMargins | None) -> tuple[Choice, ...]:
+    """What each boundary was learned from; nothing without margins."""
+    if margins is None:
+        return ()
+    arrays = (state[f"{name}/choice"].tolist() for name in outcomes[1:])
+    return tuple(
+        Choice(int(a), int(n), of_margin, of_outcomes, bool(one)) for a, n, of_margin, of_outcomes, one in arrays
+    )
+
+
+def margin_data(state: State, name: str, F: Array, margin: Array) -> MarginData:
+    """The data of a regression: its margins, (n,), at scaled features, (n, m), and what a state says of them."""
+    values, _ = defined(margin)
+    truncated, warping = (int(state[f"{name}/{key}"]) for key in ("truncated", "warping"))
+    sites = CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"])
+    unit, inducing = float(state[f"{name}/unit"]), state.get(f"{name}/inducing")
+    return MarginData(F, values, bool(truncated), list(WARPINGS)[warping], unit, sites, inducing)
+
+
+def check(latent: Any, F: Array) -> None:
+    """Check a latent by a prediction at the first of scaled features, (n, m).
+
+    Raises:
+        ArithmeticError: if it is not finite.
+    """
+    with np.errstate(all="raise", under="ignore"):
+        moments = latent.moments(F[:1])
+    if not (np.isfinite(moments.mean).all() and np.isfinite(moments.sd).all()):
+        raise ArithmeticError

@@ -1,27 +1,19 @@
 """The optimal Gaussian posterior for a prior: a Gaussian site for each training point, iterated to a fixed point.
 
 It has the form S = (K⁻¹ + W)⁻¹ with a diagonal W [OpperArchambeau2009]: two numbers per point instead of n²/2. Damped
-natural-gradient steps find them [KhanLin2017].
-
-The algebra is implemented here, on dense matrices. Tests compare the posterior and its bound with GPyTorch's. They also
-check that GPyTorch's optimiser, started there, does not improve the bound (`tests/surrogate/test_fitting.py`).
+natural-gradient steps find them [KhanLin2017], for any GPyTorch likelihood of one latent.
 """
 
-from __future__ import annotations
-
 import math
-from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from scipy.linalg.blas import dsyrk, dtrmm
 from scipy.linalg.lapack import dtrtri
+from torch import Tensor
 
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
-else:
-    from activefail.surrogate import lazy_torch as torch
+from activefail.surrogate.likelihoods import expectations
 
 _FIRST_SHARE, _LEAST_SHARE = 0.6, 0.02
 """First and least share of a natural-gradient step; undamped steps oscillate."""
@@ -36,13 +28,6 @@ _WEAK_SITE = 1e-6
 """Precision of a site times the prior variance below which a point's variance is the prior's to six digits."""
 
 
-@cache
-def quadrature() -> tuple[Tensor, Tensor]:
-    """Nodes and weights of the Gauss-Hermite rule, (20,)."""
-    nodes, weights = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
-    return nodes, weights / weights.sum()
-
-
 class Sites(NamedTuple):
     """A Gaussian factor for each training point: exp(linear f − precision f²/2)."""
 
@@ -50,9 +35,17 @@ class Sites(NamedTuple):
     precision: Tensor  # (n,), positive
 
 
+class Whole(NamedTuple):
+    """A prior of n points."""
+
+    mean: Tensor  # (n,)
+    K: Tensor  # (n, n), with its jitter
+
+
 class Projection(NamedTuple):
     """A prior of n points projected on m inducing points: f = prior mean + Vᵀv + rest, v ~ N(0, I)."""
 
+    mean: Tensor  # (n,)
     whitened: Tensor  # V (m, n): L⁻¹ k(Z, X) with LLᵀ = k(Z, Z)
     rest: Tensor  # (n,) prior variance that the inducing points do not explain
 
@@ -63,54 +56,39 @@ class Posterior(NamedTuple):
     alpha: Tensor  # (n,) K⁻¹ (mean − prior mean); of a projection the mean of v, (m,)
     mean: Tensor  # (n,)
     variance: Tensor  # (n,)
-    cholesky_b: Tensor  # (n, n) factor of B = I + W^½ K W^½; of a projection that of I + V W Vᵀ, (m, m)
-    gradient: Tensor  # (n,) E[∂ log Φ(yf)/∂f]
-    curvature: Tensor  # (n,) E[−∂² log Φ(yf)/∂f²]
+    factor: Tensor  # (n, n) factor of B = I + W^½ K W^½; of a projection that of I + V W Vᵀ, (m, m)
+    gradient: Tensor  # (n,) E[∂ log p(y | f)/∂f]
+    curvature: Tensor  # (n,) E[−∂² log p(y | f)/∂f²]
     elbo: float
 
 
-def probit_expectations(labels: Tensor, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """E[log Φ(yf)], E[∂ log Φ(yf)/∂f] and E[−∂² log Φ(yf)/∂f²] under f ~ N(mean, variance), each shape (n,).
-
-    The last uses Stein's lemma, E[−∂²l] = −E[l′·(f − mean)]/variance: the three are then value and exact derivatives of
-    one quadrature, so that the sites maximise the reported bound. The second derivative is nearly a step in f, which
-    the nodes resolve poorly where the latent is wide.
-    """
-    nodes, weights = quadrature()
-    sd = variance.sqrt()
-    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * nodes  # n -> n x 20
-    y = labels.unsqueeze(-1)
-    log_cdf = torch.special.log_ndtr(y * f)
-    slope = y * torch.exp(-0.5 * f * f - 0.5 * math.log(2.0 * math.pi) - log_cdf)  # yφ/Φ
-    # Negative only by rounding: the slope decreases with f.
-    curvature = (-(slope @ (weights * nodes)) / sd).clamp_min(0.0)
-    return log_cdf @ weights, slope @ weights, curvature
-
-
-def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
+def posterior(prior: Whole | Projection, likelihood: Any, labels: Tensor, sites: Sites) -> Posterior:
     """The Gaussian defined by prior and sites, with its evidence lower bound.
 
     Args:
-        prior: K at the training points, (n, n), or its projection on inducing points. With a projection the bound is
-            that of [Titsias2009] (for other likelihoods [HensmanEtAl2015]), at most the one with K.
+        prior: at the training points. With a projection the bound is that of [Titsias2009] (for other likelihoods
+            [HensmanEtAl2015]), at most the one of the whole prior.
+        likelihood: of GPyTorch.
+        labels: (n,) of 0 and 1.
+        sites: of the points.
     """
     if isinstance(prior, Projection):
-        return _projected_posterior(prior, prior_mean, labels, sites)
-    return _dense_posterior(prior, prior_mean, labels, sites)
+        return _projected_posterior(prior, likelihood, labels, sites)
+    return _whole_posterior(prior, likelihood, labels, sites)
 
 
-def _projected_posterior(prior: Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
+def _projected_posterior(prior: Projection, likelihood: Any, labels: Tensor, sites: Sites) -> Posterior:
     V, (linear, precision) = prior.whitened, sites
     X = V * precision.sqrt()
     # BLAS computes one half of the symmetric product; the transposed view is stored by columns.
     A = torch.from_numpy(dsyrk(1.0, X.numpy().T, trans=1, lower=0).T)
     A.diagonal().add_(1.0)
     R = torch.linalg.cholesky(A)
-    v = torch.cholesky_solve((V @ (linear - precision * prior_mean)).unsqueeze(1), R).squeeze(1)
-    mean = prior_mean + V.T @ v
+    v = torch.cholesky_solve((V @ (linear - precision * prior.mean)).unsqueeze(1), R).squeeze(1)
+    mean = prior.mean + V.T @ v
     inverse, T = whitened(R, V)
     variance = (prior.rest + column_squares(T)).clamp_min(1e-12)
-    expected, gradient, curvature = probit_expectations(labels, mean, variance)
+    expected, gradient, curvature = expectations(likelihood, labels, mean, variance)
     trace = float(inverse.square().sum())
     divergence = 0.5 * (trace + float(v @ v) - len(V)) + float(R.diagonal().log().sum())
     return Posterior(v, mean, variance, R, gradient, curvature, float(expected.sum()) - divergence)
@@ -129,17 +107,17 @@ def whitened(L: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(inverse.T), torch.from_numpy(product.T)
 
 
-def _dense_posterior(K: Tensor, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
-    root = sites.precision.sqrt()
+def _whole_posterior(prior: Whole, likelihood: Any, labels: Tensor, sites: Sites) -> Posterior:
+    K, root = prior.K, sites.precision.sqrt()
     B = root.unsqueeze(1) * K * root
     B.diagonal().add_(1.0)
     L = torch.linalg.cholesky(B)
-    b = sites.linear - sites.precision * prior_mean
+    b = sites.linear - sites.precision * prior.mean
     alpha = b - root * torch.cholesky_solve((root * (K @ b)).unsqueeze(1), L).squeeze(1)
     mean_offset = K @ alpha
     variance = _posterior_variance(K, sites.precision, root, L)
-    mean = prior_mean + mean_offset
-    expected, gradient, curvature = probit_expectations(labels, mean, variance)
+    mean = prior.mean + mean_offset
+    expected, gradient, curvature = expectations(likelihood, labels, mean, variance)
     # tr(K⁻¹S) = tr(B⁻¹) = n − Σ W s², since S W = I − (I + K W)⁻¹.
     n = len(labels)
     trace = n - (sites.precision * variance).sum()
@@ -170,7 +148,7 @@ def fixed_point(state: Posterior) -> Sites:
 
 
 def solve_sites(
-    prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites, tolerance: float, most: int = 200
+    prior: Whole | Projection, likelihood: Any, labels: Tensor, sites: Sites, tolerance: float, most: int = 200
 ) -> tuple[Sites, Posterior]:
     """Iterate the sites until the bound changes by less than `tolerance` [nats], for at most `most` steps.
 
@@ -178,7 +156,7 @@ def solve_sites(
     optimum, where plain steps converge linearly, they are extrapolated [Anderson1965]; an extrapolation that lowers the
     bound is rejected.
     """
-    state = posterior(prior, prior_mean, labels, sites)
+    state = posterior(prior, likelihood, labels, sites)
     share, change = _FIRST_SHARE, math.inf
     past: list[tuple[Sites, Sites]] = []
     for _ in range(most):
@@ -186,7 +164,7 @@ def solve_sites(
         past = [*past[-_MEMORY:], (sites, target)]
         extrapolated = change < _NEAR * len(labels) and len(past) > 1
         step = _extrapolated(past, state, share) if extrapolated else _between(sites, target, share)
-        following = posterior(prior, prior_mean, labels, step)
+        following = posterior(prior, likelihood, labels, step)
         change = following.elbo - state.elbo
         if change < -tolerance and (extrapolated or share > _LEAST_SHARE):
             # Earlier steps mislead here: take a plain step next, then a shorter one.

@@ -18,7 +18,8 @@ from activefail.reliability.strata import rounded
 from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Moments
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.moments import Moments
 from activefail.verification.confidence_bounds import StratifiedCount
 from activefail.verification.probability_estimator import Estimator
 from activefail.verification.stored_sets import (

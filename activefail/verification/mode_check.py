@@ -14,11 +14,11 @@ from activefail.reliability.estimate import deviation_of_margins
 from activefail.reliability.hidden import ModeCheck, contradictions, designs_of_check, hidden_places
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, Latent
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import AnyLatent, MarginLatent
 
 
-def is_checked(question: Question, latent: Latent | MarginLatent) -> bool:
+def is_checked(question: Question, latent: AnyLatent) -> bool:
     """Whether an estimate has a mode check: under a question, of a boundary that was learned from a margin.
 
     Far from all simulations a classifier of outcomes doubts, and the fresh simulations know that

@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+import torch
 from rare import four_branch
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from activefail.acquisition.by_margin import doubt, doubtful_population, expected_doubt, propose_by_margin
+from activefail.acquisition import by_margin
+from activefail.acquisition.batch_proposal import propose
+from activefail.acquisition.by_margin import doubt, doubtful_population
+from activefail.acquisition.criteria import criterion
 from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
@@ -21,6 +25,14 @@ def latent(n: int = 20, seed: int = 0) -> MarginLatent:
     # Twice as wide as the design measure, so that some designs fail.
     X = np.clip(2.0 * SPACE.latin_hypercube(n, np.random.default_rng(seed)), -6.4, 6.4)
     return MarginLatent(fit_margin(FEATURES(X), four_branch(X)))
+
+
+def expected_doubt(*arrays: np.ndarray) -> np.ndarray:
+    return by_margin.expected_doubt(*(torch.from_numpy(array) for array in arrays)).numpy()
+
+
+def proposed(surrogate: MarginLatent, q: int, **known: np.ndarray) -> np.ndarray:
+    return propose(surrogate, FEATURES, SPACE, criterion("entropy"), q, np.random.default_rng(1), **known)
 
 
 def test_the_expected_doubt_is_that_over_the_margins_that_may_come() -> None:
@@ -59,7 +71,7 @@ def test_a_known_margin_leaves_no_doubt_where_it_was_simulated() -> None:
 
 def test_proposals_lie_where_the_side_is_in_doubt_and_differ() -> None:
     surrogate = latent()
-    designs = propose_by_margin(surrogate, FEATURES, SPACE, 6, np.random.default_rng(1))
+    designs = proposed(surrogate, 6)
     assert designs.shape == (6, 2)
     assert SPACE.contains(designs).all()
     assert len(np.unique(designs, axis=0)) == 6
@@ -73,9 +85,9 @@ def test_proposals_lie_where_the_side_is_in_doubt_and_differ() -> None:
 
 def test_pending_and_failed_designs_are_not_proposed_again() -> None:
     surrogate = latent()
-    first = propose_by_margin(surrogate, FEATURES, SPACE, 4, np.random.default_rng(1))
+    first = proposed(surrogate, 4)
     for known in ({"pending": first}, {"failed": first}):
-        again = propose_by_margin(surrogate, FEATURES, SPACE, 4, np.random.default_rng(1), **known)
+        again = proposed(surrogate, 4, **known)
         assert np.linalg.norm(again[:, None] - first[None], axis=2).min() > 0.05
 
 

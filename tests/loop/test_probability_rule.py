@@ -141,7 +141,7 @@ def test_truncated_margins_are_learned_from_too() -> None:
     campaign = campaign_on(FourBranch(lowest=0.0))
     store = taken(campaign)
     learned = current(campaign, store, write=False)
-    assert learned.classifier.latents[0].trained.truncated
+    assert learned.classifier.latents[0].trained.data.truncated
     assert learned.looks.probability == pytest.approx(PROBABILITY, rel=0.35)
 
 
@@ -228,11 +228,12 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
 
 
 def test_predictions_from_a_part_of_the_simulations_are_announced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(margin, "EXACT", 16)
+    for limit in ("COARSE", "LEARNED_ON", "EXACT", "INDUCING"):
+        monkeypatch.setattr(margin, limit, 16)
     campaign = campaign_on(FourBranch(), sampling__budget=20)
     store = taken(campaign)
     (text,) = choices_in_words(campaign, History.of(store.batches), current(campaign, store, write=False).classifier)
-    assert "; predictions rest on 16 simulations, half of them those with the smallest margins" in text
+    assert "; predictions use 16 inducing points" in text
 
 
 @pytest.mark.parametrize("asynchronous", [False, True])

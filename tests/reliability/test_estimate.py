@@ -97,7 +97,7 @@ def test_margins_that_deviate_from_their_predictions_widen_the_interval() -> Non
     def shifted(deviations: float) -> np.ndarray:
         warped = -moments.mean - deviations * moments.sd
         unwarped = {"none": warped, "asinh": np.sinh(warped), "asinh5": np.sinh(warped) / 5.0}
-        return latent.trained.unit * unwarped[latent.trained.warping]
+        return latent.trained.data.unit * unwarped[latent.trained.data.warping]
 
     def deviation(margin: np.ndarray) -> float:
         return deviation_of_margins(latent, FEATURES, plan.designs, margin)

@@ -15,7 +15,8 @@ from activefail.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, sim
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.provenance import provenance
 from activefail.loop.history import History
-from activefail.loop.learning import classifier_after, saved_current
+from activefail.loop.learning import classifier_after
+from activefail.loop.saved_learning import saved_current
 from activefail.record.journal import Journal
 
 STORED = Path(__file__).parent / "paper"

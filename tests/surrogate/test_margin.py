@@ -1,14 +1,21 @@
+import copy
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+import torch
 from rare import four_branch
 from scipy import stats
+from surrogate.labelled import flattened, numerical_gradient
 
 from activefail.surrogate import margin as m
-from activefail.surrogate.margin import MarginLatent, fit_margin, is_truncated
-from activefail.surrogate.margin_choice import fit_defined
+from activefail.surrogate import margin_data
+from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
+from activefail.surrogate.margin import MarginLatent, fit_margin, make_prior, penalised_likelihood
+from activefail.surrogate.margin_data import informative, is_truncated
+from activefail.surrogate.training import fit_defined
 
 RNG = np.random.default_rng(5)
 Z = RNG.standard_normal((24, 2)) * 1.6
@@ -27,31 +34,25 @@ def test_the_gradient_is_that_of_the_likelihood(truncated: bool) -> None:
     X, g = drawn(1)
     censored = (g <= 0.0) & truncated
     assert 2 < (g <= 0.0).sum() < 9
-    packed = np.array([0.3, 0.4, 0.9, 0.2, 1.4])
-    sites = m.CensoredSites(np.full(censored.sum(), -0.1), np.full(censored.sum(), 0.1))
-    evaluation = m.penalised_likelihood(X, g, censored, packed, sites)
-    step = 1e-5
-    for index in range(len(packed)):
-        moved = np.array([1.0, -1.0])[:, None] * step * np.eye(len(packed))[index] + packed
-        above, below = (m.penalised_likelihood(X, g, censored, row, evaluation.sites).value for row in moved)
-        assert evaluation.gradient[index] == pytest.approx((above - below) / (2.0 * step), rel=1e-4, abs=1e-5)
+    prior = make_prior(3)
+    prior.covar_module.initialize(outputscale=1.5)
+    value = partial(penalised_likelihood, prior, X, g, censored, first_sites(censored, 1.0))
+    assert flattened(value()[1]) == pytest.approx(numerical_gradient(prior, lambda: value()[0]), rel=1e-4, abs=1e-5)
 
 
 def test_the_evidence_of_censored_margins_is_the_probability_that_all_are_at_most_zero() -> None:
     A = np.random.default_rng(2).standard_normal((4, 4))
-    S, mean = A @ A.T + 0.3 * np.eye(4), np.array([0.4, -0.3, 0.8, -1.0])
-    start = m.CensoredSites(np.full(4, -0.1), np.full(4, 0.1))
-    result = m.censored_posterior(mean, S, start)
+    S, mean, start = A @ A.T + 0.3 * np.eye(4), np.array([0.4, -0.3, 0.8, -1.0]), first_sites(np.ones(4, bool), 1.0)
     exact = stats.multivariate_normal(mean, S).cdf(np.zeros(4))
     # Expectation propagation is not exact; its error on such orthants is a few per cent.
-    assert math.exp(result.log_evidence) == pytest.approx(exact, rel=0.05)
-    alone = m.censored_posterior(mean[:1], S[:1, :1], m.CensoredSites(*(site[:1] for site in start)))
+    assert math.exp(censored_posterior(mean, S, start).log_evidence) == pytest.approx(exact, rel=0.05)
+    alone = censored_posterior(mean[:1], S[:1, :1], CensoredSites(*(site[:1] for site in start)))
     assert alone.log_evidence == pytest.approx(stats.norm.logcdf(-mean[0] / math.sqrt(S[0, 0])), abs=1e-9)
 
 
 def test_the_posterior_of_censored_margins_is_that_of_sampling() -> None:
     mean, S = np.array([0.4, -0.2, 0.1]), np.array([[1.0, 0.6, 0.2], [0.6, 1.5, 0.5], [0.2, 0.5, 0.8]])
-    sites = m.censored_posterior(mean, S, m.CensoredSites(np.full(3, -0.1), np.full(3, 0.1))).sites
+    sites = censored_posterior(mean, S, first_sites(np.ones(3, bool), 1.0)).sites
     V = np.linalg.inv(np.linalg.inv(S) + np.diag(sites.precision))
     actual = V @ (np.linalg.solve(S, mean) + sites.linear)
     f = np.random.default_rng(3).multivariate_normal(mean, S, size=400_000)
@@ -60,35 +61,39 @@ def test_the_posterior_of_censored_margins_is_that_of_sampling() -> None:
     np.testing.assert_allclose(np.sqrt(V.diagonal()), f.std(axis=0), rtol=0.05)
 
 
+def warped(fitted: m.MarginFit, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of the warped margin."""
+    moments = MarginLatent(fitted).moments(F)
+    return fitted.data.warped(np.zeros(len(F))) - moments.mean, moments.sd
+
+
 @pytest.mark.parametrize("truncated", [False, True])
-def test_margins_left_out_are_those_of_a_fit_without_the_design(truncated: bool) -> None:
-    X, g = drawn(4)
-    fitted = fit_margin(X, np.where(truncated & (g <= 0.0), 0.0, g), truncated=truncated)
+def test_a_margin_left_out_is_predicted_by_a_fit_without_its_design_also_where_it_is_censored(truncated: bool) -> None:
+    X, g = drawn(4, 30)
+    failed = g <= 0.0
+    fitted = fit_margin(X, np.where(truncated & failed, 0.0, g), truncated=truncated)
     mean, sd = fitted.left_out()
-    for row in np.flatnonzero(g > 0.0)[:3]:
+    for row in [*np.flatnonzero(~failed)[:3], *np.flatnonzero(failed)[:3]]:
         kept = np.arange(len(g)) != row
-        without = replace(fitted, features=X[kept], margin=fitted.margin[kept])
-        # The closed form estimates the constant mean anew, the fit without the design keeps that of all.
-        A, target = m.linear_system(without)
-        weights = np.linalg.solve(A, np.ones(len(A)))
-        own_mean = weights @ target / weights.sum()
-        renewed = replace(without, hyperparameters=fitted.hyperparameters._replace(mean=float(own_mean)))
-        expected_mean, expected_sd = renewed.moments(X[row : row + 1])
-        assert mean[row] == pytest.approx(expected_mean[0], rel=1e-6, abs=1e-8)
-        assert sd[row] == pytest.approx(expected_sd[0], rel=1e-3)
+        sites = fitted.data.sites
+        if truncated and failed[row]:
+            sites = CensoredSites(*(np.delete(site, int(failed[:row].sum())) for site in sites))
+        data = replace(fitted.data, features=X[kept], margin=fitted.data.margin[kept], sites=sites)
+        # The closed form estimates the constant mean anew from what is left.
+        target, noise = data.observed(fitted.nugget)
+        own = copy.deepcopy(fitted.prior)
+        weights = np.linalg.solve(own.covariance(torch.from_numpy(X[kept])).numpy() + np.diag(noise), np.ones(29))
+        own.mean_module.initialize(constant=torch.tensor(weights @ target / weights.sum(), dtype=torch.float64))
+        expected_mean, expected_sd = warped(replace(fitted, data=data, prior=own), X[row : row + 1])
+        assert mean[row] == pytest.approx(expected_mean[0], rel=1e-5, abs=1e-6)
+        assert sd[row] == pytest.approx(expected_sd[0], rel=1e-2)
 
 
-def test_a_regression_passes_through_its_margins_and_joint_moments_agree_with_marginal_ones() -> None:
+def test_a_regression_passes_through_its_margins() -> None:
     fitted = fit_margin(Z, G)
-    warp = m.WARPINGS[fitted.warping][0]
-    mean, sd = fitted.moments(Z)
-    np.testing.assert_allclose(mean, warp(G / fitted.unit), atol=0.02)
-    assert sd.max() < 0.02 * math.exp(0.5 * fitted.hyperparameters.log_outputscale)
-    mean, sd = fitted.moments(FRESH[:50])
-    joint_mean, K = fitted.joint(FRESH[:50])
-    np.testing.assert_allclose(joint_mean, mean)
-    np.testing.assert_allclose(np.sqrt(K.diagonal()), sd, rtol=1e-4)
-    assert np.linalg.eigvalsh(K)[0] > 0.0
+    mean, sd = warped(fitted, Z)
+    np.testing.assert_allclose(mean, fitted.data.warped(G), atol=0.02)
+    assert sd.max() < 0.02 * math.sqrt(float(fitted.prior.covar_module.outputscale))
 
 
 def test_the_boundary_of_four_branches_is_learned_from_few_margins_and_from_truncated_ones() -> None:
@@ -96,8 +101,8 @@ def test_the_boundary_of_four_branches_is_learned_from_few_margins_and_from_trun
     g, truth = four_branch(X), four_branch(FRESH * 1.25) <= 0.0
     for margin in (g, np.maximum(g, 0.0)):
         fitted = fit_margin(X, margin)
-        assert fitted.truncated == (margin.min() == 0.0)
-        mean, _ = fitted.moments(FRESH * 1.25)
+        assert fitted.data.truncated == (margin.min() == 0.0)
+        mean, _ = warped(fitted, FRESH * 1.25)
         assert ((mean <= 0.0) != truth).mean() < 0.04
 
 
@@ -107,8 +112,8 @@ def test_intervals_of_a_smooth_margin_hold_at_least_as_often_as_they_say_and_are
         X, g = drawn(seed, 20)
         fitted = fit_margin(X, g)
         fresh, true = drawn(100 + seed, 200)
-        mean, sd = fitted.moments(fresh)
-        error = m.WARPINGS[fitted.warping][0](true / fitted.unit) - mean
+        mean, sd = warped(fitted, fresh)
+        error = fitted.data.warped(true) - mean
         held.append((np.abs(error) <= 1.645 * sd).mean())
         widths.append(np.median(sd) / np.std(mean + error))
     # Nominal 0.9; the mean of twenty shares has a standard error of some 0.02. Priors make the intervals conservative.
@@ -119,52 +124,15 @@ def test_intervals_of_a_smooth_margin_hold_at_least_as_often_as_they_say_and_are
 def test_the_warping_follows_the_margins() -> None:
     X = np.random.default_rng(8).standard_normal((40, 2))
     smooth = X[:, 0] + 0.5 * X[:, 1] + 0.3 * X[:, 0] * X[:, 1]
-    assert fit_margin(X, smooth).warping == "none"
-    assert fit_margin(X, np.sinh(3.0 * smooth)).warping != "none"
+    assert fit_margin(X, smooth).data.warping == "none"
+    assert fit_margin(X, np.sinh(3.0 * smooth)).data.warping != "none"
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_the_unit_of_the_margin_does_not_matter(factor: float) -> None:
     one, other = fit_margin(Z, G), fit_margin(Z, factor * G)
-    assert one.warping == other.warping
-    np.testing.assert_allclose(one.moments(FRESH)[0], other.moments(FRESH)[0], atol=1e-3)
-
-
-def test_an_outcome_left_out_is_predicted_from_the_others_also_where_it_is_censored() -> None:
-    X, g = drawn(4, 30)
-    truncated = fit_margin(X, np.maximum(g, 0.0))
-    failed = g <= 0.0
-    mean, sd = truncated.left_out()
-    rows = np.flatnonzero(failed)
-    for row in rows[:3]:
-        kept = np.arange(len(g)) != row
-        position = int(failed[:row].sum())
-        sites = m.CensoredSites(*(np.delete(site, position) for site in truncated.sites))
-        without = replace(truncated, features=X[kept], margin=truncated.margin[kept], sites=sites)
-        A, target = m.linear_system(without)
-        weights = np.linalg.solve(A, np.ones(len(A)))
-        own_mean = float(weights @ target / weights.sum())
-        renewed = replace(without, hyperparameters=truncated.hyperparameters._replace(mean=own_mean))
-        expected_mean, expected_sd = renewed.moments(X[row : row + 1])
-        assert mean[row] == pytest.approx(expected_mean[0], rel=1e-5, abs=1e-6)
-        assert sd[row] == pytest.approx(expected_sd[0], rel=1e-2)
-
-
-def test_pending_designs_leave_the_means_and_shrink_the_variances_as_their_margins_would() -> None:
-    fitted = fit_margin(Z[:20], G[:20])
-    latent = MarginLatent(fitted)
-    mean, sd = latent.moments(Z)
-    # Conditioning a Gaussian on values at its means, with the scales unchanged.
-    _, covariance = latent.joint(Z)
-    pending = slice(20, 24)
-    gain = np.linalg.solve(covariance[pending, pending], covariance[pending])
-    expected = np.sqrt(np.maximum((covariance - covariance[:, pending] @ gain).diagonal(), 1e-6))
-    waiting = latent.with_pending(Z[20:22]).with_pending(Z[22:24])
-    np.testing.assert_array_equal(waiting.moments(Z).mean, mean)
-    np.testing.assert_allclose(waiting.moments(Z).sd, expected, rtol=1e-3, atol=2e-2)
-    np.testing.assert_allclose(np.sqrt(waiting.joint(Z[24:])[1].diagonal()), expected[24:], rtol=1e-3, atol=1e-3)
-    assert (waiting.moments(Z).sd <= sd + 1e-12).all()
-    assert len(waiting.features) == 24
+    assert one.data.warping == other.data.warping
+    np.testing.assert_allclose(warped(one, FRESH)[0], warped(other, FRESH)[0], atol=1e-3)
 
 
 def test_hyperparameters_are_kept_until_many_margins_are_new() -> None:
@@ -173,42 +141,54 @@ def test_hyperparameters_are_kept_until_many_margins_are_new() -> None:
     g = 2.0 - X[:, 0] + 0.2 * X[:, 1] ** 2
     first = fit_margin(X[:110], g[:110])
     few = fit_margin(X[:113], g[:113], warm=first)
-    assert few.hyperparameters == first.hyperparameters
-    assert (few.learned_on, len(few.margin)) == (110, 113)
-    np.testing.assert_allclose(few.moments(X[110:113])[0], m.WARPINGS[few.warping][0](g[110:113] / few.unit), atol=1e-2)
+    assert few.prior is first.prior
+    assert (few.learned_on, len(few.data.margin)) == (110, 113)
+    np.testing.assert_allclose(warped(few, X[110:113])[0], few.data.warped(g[110:113]), atol=1e-2)
     assert fit_margin(X, g, warm=first).learned_on == 130
 
 
 @pytest.mark.parametrize("truncated", [False, True])
-def test_of_many_margins_a_support_is_kept_that_is_half_nearest_the_boundary(
+def test_with_inducing_points_a_regression_is_that_of_all_points(
     truncated: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(m, "LEARNED_ON", 60)
-    monkeypatch.setattr(m, "COARSE", 40)
-    monkeypatch.setattr(m, "EXACT", 100)
+    for name, size in (("EXACT", 100), ("LEARNED_ON", 60), ("COARSE", 40), ("INDUCING", 200)):
+        monkeypatch.setattr(m, name, size)
     X = np.random.default_rng(9).standard_normal((400, 2)) * 1.6
     g = np.maximum(four_branch(X), 0.0) if truncated else four_branch(X)
     fitted = fit_margin(X, g)
-    assert (fitted.truncated, fitted.learned_on, fitted.size_of_support) == (truncated, 400, 100)
-    known = np.where(g > 0.0, g, np.inf) if truncated else np.abs(g)
-    assert np.isin(np.argsort(known)[:50], fitted.rows).all()
-    mean, _ = fitted.moments(FRESH)
+    assert (fitted.data.truncated, fitted.learned_on) == (truncated, 400)
+    assert 20 < fitted.data.size_of_support <= 200
+    whole = replace(fitted, data=replace(fitted.data, inducing=None))
+    (mean, _), (of_all, _) = warped(fitted, FRESH), warped(whole, FRESH)
+    assert np.std(mean - of_all) < 0.05 * np.std(of_all)
+    assert fitted.sign_score() == pytest.approx(whole.sign_score(), abs=0.03)
     assert np.mean((mean <= 0.0) != (four_branch(FRESH) <= 0.0)) < 0.02
-    # What is outside the support is predicted from the support as it is.
-    outside = np.setdiff1d(np.arange(400), fitted.rows)
-    left_out, deviation = fitted.left_out()
-    np.testing.assert_array_equal([left_out[outside], deviation[outside]], fitted.moments(X[outside]))
     more = fit_margin(np.concatenate([X, FRESH[:5]]), np.concatenate([g, four_branch(FRESH[:5])]), truncated, fitted)
-    assert more.hyperparameters == fitted.hyperparameters
-    assert len(MarginLatent(more).model.X) == 100
+    assert more.prior is fitted.prior
+
+
+def test_of_too_many_margins_the_nearest_ones_stand_for_all_and_others_evenly_spread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, size in (("EXACT", 40), ("MOST", 100), ("MOST_CENSORED", 15)):
+        monkeypatch.setattr(margin_data, name, size)
+    g = np.random.default_rng(9).standard_normal(400) + 0.5
+    assert informative(g[:40], True).tolist() == list(range(40))
+    rows = informative(g, False)
+    assert len(rows) == len(np.unique(rows)) == 100
+    assert np.isin(np.argsort(np.abs(g))[:50], rows).all()
+    censored = g <= 0.0
+    rows = informative(g, True)
+    assert (censored[rows].sum(), (~censored[rows]).sum()) == (15, 100)
+    assert np.isin(np.flatnonzero(~censored)[np.argsort(g[~censored])[:50]], rows).all()
 
 
 def test_ten_thousand_margins_in_thirty_variables_are_learned_from() -> None:
     X = np.random.default_rng(10).standard_normal((12_000, 30))
     g = 2.0 - X.sum(axis=1) / math.sqrt(30.0) + 0.3 * np.sin(2.0 * X[:, 0])
     fitted = fit_margin(X[:10_000], g[:10_000])
-    assert fitted.solved.L.shape == (m.EXACT, m.EXACT)
-    mean, _ = fitted.moments(X[10_000:])
+    assert fitted.data.size_of_support == m.INDUCING
+    mean, _ = warped(fitted, X[10_000:])
     assert np.mean((mean <= 0.0) != (g[10_000:] <= 0.0)) < 0.005
 
 
@@ -242,16 +222,16 @@ def test_truncated_margins_need_two_positive_ones() -> None:
 def test_a_margin_is_clipped_if_three_different_designs_have_the_largest_one() -> None:
     X, g = drawn(4)
     top = np.sort(g)
-    assert not fit_margin(X, g).is_clipped
-    assert not fit_margin(X, np.minimum(g, top[-2])).is_clipped
-    assert fit_margin(X, np.minimum(g, top[-3])).is_clipped
+    assert not fit_margin(X, g).data.is_clipped
+    assert not fit_margin(X, np.minimum(g, top[-2])).data.is_clipped
+    assert fit_margin(X, np.minimum(g, top[-3])).data.is_clipped
     # Ties elsewhere, at failure above all, say nothing about the largest margin.
-    assert not fit_margin(X, np.maximum(g, top[4])).is_clipped
+    assert not fit_margin(X, np.maximum(g, top[4])).data.is_clipped
     clipped = np.minimum(g, top[-3])
-    assert fit_defined(X, np.where(clipped <= 0.0, np.nan, clipped)).is_clipped
+    assert fit_defined(X, np.where(clipped <= 0.0, np.nan, clipped)).data.is_clipped
 
 
 def test_a_design_simulated_again_does_not_make_its_margin_a_clipped_one() -> None:
     X, g = drawn(4)
     best = np.full(3, g.argmax())
-    assert not fit_margin(np.concatenate([X, X[best]]), np.concatenate([g, g[best]])).is_clipped
+    assert not fit_margin(np.concatenate([X, X[best]]), np.concatenate([g, g[best]])).data.is_clipped

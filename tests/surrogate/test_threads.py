@@ -10,8 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import activefail as af
 from activefail.execution.local import ThreadExecutor
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.boundary_gp import SiteStrategy
 from activefail.surrogate.saved import SavedLatent
 
 CAMPAIGN = """
@@ -44,18 +43,18 @@ def test_each_method_of_a_run_learns_and_predicts_with_one_thread(
     (tmp_path / "ring.toml").write_text(text)
     seen: list[int] = []
 
-    def counted(moments: Callable[..., object]) -> Callable[..., object]:
+    def counted(predict: Callable[..., object]) -> Callable[..., object]:
         def call(*arguments: object) -> object:
             blas = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
             seen.append(max([torch.get_num_threads(), *blas]))
-            return moments(*arguments)
+            return predict(*arguments)
 
         return call
 
     # What simulates is not what learns: a thread of this process does as well as another process.
     monkeypatch.setattr("activefail.execution.local.ProcessExecutor", lambda *_: ThreadExecutor(1))
-    for latent in (Latent, SavedLatent, MarginLatent):
-        monkeypatch.setattr(latent, "moments", counted(latent.moments))
+    monkeypatch.setattr(SiteStrategy, "seen", counted(SiteStrategy.seen))
+    monkeypatch.setattr(SavedLatent, "moments", counted(SavedLatent.moments))
     with af.create_run(tmp_path / "run", tmp_path / "ring.toml", code=tmp_path) as run:
         methods = [
             lambda: run.take(progress=False, workers=1),

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import hazard_question
@@ -125,8 +125,8 @@ def sensitivity(
             is_outside = ~campaign.space.contains(varied.designs(space.sobol(256, np.random.default_rng(0))))
             outside = float((is_outside.reshape(256, -1) @ varied.weight).mean() / varied.weight.sum())
     scales: dict[str, float] = {}
-    if classifier is not None:
-        of_features = np.exp(classifier.latent(outcome).trained.hyperparameters.log_lengthscale)
+    of_features = None if classifier is None else classifier.latent(outcome).length_scales
+    if of_features is not None:
         scales = dict(zip(campaign.features.names, of_features.tolist(), strict=True))
     return SensitivityFindings(
         outcome=outcome,
@@ -183,7 +183,7 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     design = tuple(one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE))
     if not design:
         raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
-    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | asked.fixed
+    base = {one.name: float(one.quantile(0.5)) for one in design} | asked.fixed
     question = hazard_question(hazard, campaign.space, base)
     free = tuple(one for one in design if one.name not in asked.fixed)
     rows = question.space.thinned(PULSES) if isinstance(question.space, WeightedRows) else question.space
@@ -218,7 +218,7 @@ def _moves(varied: Varied, probability: Callable[[str, float], float]) -> tuple[
     moves, base = [], varied.question.fixed
     at_base = probability(varied.parameters[0].name, base[varied.parameters[0].name])
     for one in varied.parameters:
-        low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
+        low, high = (float(one.quantile(share)) for share in (LOW, HIGH))
         at_ends = probability(one.name, low), probability(one.name, high)
         moves.append(Move(one.name, base[one.name], low, high, *at_ends))
     moves.sort(key=lambda move: min(move.at_low, move.at_high, at_base) - max(move.at_low, move.at_high, at_base))

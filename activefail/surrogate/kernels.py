@@ -1,0 +1,160 @@
+"""The prior of a latent in GPyTorch: a constant mean, a kernel and a likelihood, with priors of their parameters."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import gpytorch
+import numpy as np
+import torch
+from torch import Tensor
+
+from activefail.surrogate.covariance import check_kernel, correlation, correlation_and_slope
+
+OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
+"""Mean and standard deviation of the output scale's logarithm. Flat, because a sharp boundary needs a latent many times
+as large as the likelihood's unit width."""
+
+MakeKernel = Callable[[int], gpytorch.kernels.Kernel]
+"""Number of features -> kernel: what a user's `classifier.kernel` is."""
+
+_POSITIVE = {"transform": torch.exp, "inv_transform": torch.log}
+"""exp, not softplus: L-BFGS then steps in the logarithm of each scale."""
+
+Bounds = dict[str, tuple[float | None, float | None]]
+
+
+def length_scale_prior(dimension: int) -> tuple[float, float]:
+    """Mean and standard deviation of a length scale's logarithm, in units of the features' spread.
+
+    The length scale grows with the root of the dimension [HvarfnerEtAl2024].
+    """
+    return math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
+
+
+class _Correlation(torch.autograd.Function):
+    """`covariance.correlation` of features, with its closed derivative by the length scales."""
+
+    @staticmethod
+    def forward(ctx: Any, F: Tensor, G: Tensor, lengthscale: Tensor, kernel: str) -> Tensor:
+        A, B = (F / lengthscale).numpy(), (G / lengthscale).numpy()
+        if not ctx.needs_input_grad[2]:
+            return torch.from_numpy(correlation(kernel, A, B))
+        K, slope = (torch.from_numpy(array) for array in correlation_and_slope(kernel, A, B))
+        ctx.save_for_backward(torch.from_numpy(A), torch.from_numpy(B), lengthscale, slope)
+        return K
+
+    @staticmethod
+    def backward(ctx: Any, *by_value: Tensor) -> tuple[None, None, Tensor, None]:
+        A, B, lengthscale, slope = ctx.saved_tensors
+        H = by_value[0] * slope
+        by_logarithm = H.sum(1) @ A.square() + H.sum(0) @ B.square() - 2.0 * torch.einsum("im,im->m", A, H @ B)
+        return None, None, by_logarithm.unsqueeze(0) / lengthscale, None
+
+
+def _is_plain(F: Tensor, G: Tensor, diag: bool) -> bool:
+    return not diag and F.dim() == 2 and G.dim() == 2 and not (F.requires_grad or G.requires_grad)
+
+
+class Matern52(gpytorch.kernels.MaternKernel):
+    """GPyTorch's Matérn-5/2, faster where no derivative by the features is needed."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(nu=2.5, **options)
+
+    def forward(self, x1: Tensor, x2: Tensor, diag: bool = False, **params: Any) -> Tensor:
+        """Correlations of features, (..., n, m) and (..., l, m) -> (..., n, l)."""
+        if _is_plain(x1, x2, diag):
+            return torch.as_tensor(_Correlation.apply(x1, x2, self.lengthscale, "matern52"))
+        return torch.as_tensor(super().forward(x1, x2, diag=diag, **params))
+
+
+class SquaredExponential(gpytorch.kernels.RBFKernel):
+    """GPyTorch's squared exponential, faster where no derivative by the features is needed."""
+
+    def forward(self, x1: Tensor, x2: Tensor, diag: bool = False, **params: Any) -> Tensor:
+        """Correlations of features, (..., n, m) and (..., l, m) -> (..., n, l)."""
+        if _is_plain(x1, x2, diag):
+            return torch.as_tensor(_Correlation.apply(x1, x2, self.lengthscale, "rbf"))
+        return torch.as_tensor(super().forward(x1, x2, diag=diag, **params))
+
+
+def scaled_kernel(
+    kernel: str, dimension: int, of_lengthscale: tuple[float, float], of_outputscale: tuple[float, float] | None
+) -> gpytorch.kernels.ScaleKernel:
+    """An ARD kernel with a free output scale, in double precision.
+
+    Args:
+        kernel: "rbf" or "matern52".
+        dimension: number of features.
+        of_lengthscale, of_outputscale: mean and standard deviation of the logarithms' normal priors.
+
+    Raises:
+        ValueError: if the kernel is unknown.
+    """
+    check_kernel(kernel)
+    positive, log_normal = gpytorch.constraints.Positive(**_POSITIVE), gpytorch.priors.LogNormalPrior
+    base = (SquaredExponential if kernel == "rbf" else Matern52)(
+        ard_num_dims=dimension, lengthscale_constraint=positive, lengthscale_prior=log_normal(*of_lengthscale)
+    )
+    prior = None if of_outputscale is None else log_normal(*of_outputscale)
+    return gpytorch.kernels.ScaleKernel(base, outputscale_constraint=positive, outputscale_prior=prior).double()
+
+
+def _is_built_in(kernel: gpytorch.kernels.Kernel) -> bool:
+    return isinstance(kernel, gpytorch.kernels.ScaleKernel) and isinstance(
+        kernel.base_kernel, Matern52 | SquaredExponential
+    )
+
+
+def covariance(kernel: gpytorch.kernels.Kernel, F: Tensor, G: Tensor) -> Tensor:
+    """k(F, G), (n, l) of features, (n, m) and (l, m)."""
+    if _is_built_in(kernel):  # without GPyTorch's lazy tensors, which take a third of a millisecond
+        return torch.as_tensor(kernel.base_kernel.forward(F, G) * kernel.outputscale)
+    return torch.as_tensor(kernel(F, G).to_dense())
+
+
+def variances(kernel: gpytorch.kernels.Kernel, F: Tensor) -> Tensor:
+    """k(f, f), (n,), of features, (n, m)."""
+    return kernel.outputscale.expand(len(F)) if _is_built_in(kernel) else torch.as_tensor(kernel(F, diag=True))
+
+
+class Prior(gpytorch.Module):
+    """Mean, kernel and likelihood of a latent; their parameters are the hyperparameters.
+
+    Attributes:
+        bounds: of parameters in L-BFGS, by name.
+    """
+
+    def __init__(self, covar_module: gpytorch.kernels.Kernel, likelihood: Any, bounds: Bounds) -> None:
+        super().__init__()
+        self.mean_module = gpytorch.means.ConstantMean().double()
+        self.covar_module, self.likelihood, self.bounds = covar_module, likelihood, bounds
+
+    def log_density(self) -> Tensor:
+        """Log density of the parameters' logarithms, a scalar. Its mode does not depend on the parameters' units."""
+        total = torch.zeros((), dtype=torch.float64)
+        for _, module, density, value_of, _ in self.named_priors():
+            value = value_of(module)
+            total = total + (density.log_prob(value) + value.log()).sum()
+        return total
+
+    def covariance(self, F: Tensor, G: Tensor | None = None) -> Tensor:
+        """k(F, G), (n, l) of features, (n, m) and (l, m)."""
+        return covariance(self.covar_module, F, F if G is None else G)
+
+    def variance(self, F: Tensor) -> Tensor:
+        """k(f, f), (n,)."""
+        return variances(self.covar_module, F)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The parameters by name."""
+        return {name: parameter.detach().numpy().copy() for name, parameter in self.named_parameters()}
+
+    @property
+    def length_scales(self) -> np.ndarray | None:
+        """Length scales of a built-in kernel, (m,)."""
+        if not _is_built_in(self.covar_module):
+            return None
+        return np.asarray(self.covar_module.base_kernel.lengthscale.detach().numpy()[0])

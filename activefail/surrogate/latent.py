@@ -1,0 +1,172 @@
+"""The latent of a boundary that is learned from outcomes, by the variational classifier or by a model of the user's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+import torch
+from botorch.models.model import Model
+from numpy.typing import NDArray
+from torch import Tensor
+
+from activefail.space import Array
+from activefail.surrogate.boundary_gp import joint, moments
+from activefail.surrogate.fitting import Fit, fit, leave_one_out, make_prior
+from activefail.surrogate.kernels import MakeKernel, Prior
+from activefail.surrogate.likelihoods import Probit, probability
+from activefail.surrogate.moments import LinkedMoments, MarginMoments, Moments
+
+
+@dataclass(frozen=True)
+class Latent:
+    """The latent of one boundary: positive where the outcome is probably at least that severe.
+
+    Attributes:
+        trained: the fit to labels 1 for outcomes at least as severe as the boundary's, 0 for the others.
+    """
+
+    trained: Fit
+
+    regression = None
+    """No margin's regression (see `margin.MarginLatent`)."""
+
+    @property
+    def model(self) -> Model:
+        """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
+        return self.trained.model
+
+    @property
+    def features(self) -> Array:
+        """Scaled features of the training points, (n, m)."""
+        return self.trained.features.numpy()
+
+    @property
+    def length_scales(self) -> Array | None:
+        """Length scales of a built-in kernel, (m,)."""
+        return self.trained.prior.length_scales
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether all training points are on one side of the boundary."""
+        labels = self.trained.labels
+        return bool((labels == labels[0]).all())
+
+    def moments(self, F: Array) -> Moments:
+        """Marginal mean and standard deviation at scaled features, (n, m)."""
+        return self._linked(*moments(self.model, F))
+
+    def joint(self, F: Array) -> tuple[Array, Array]:
+        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
+        return joint(self.model, F)
+
+    def left_out(self) -> Moments:
+        """Moments at each training point without its own label, with hyperparameters unchanged, (n,)."""
+        return self._linked(*leave_one_out(self.trained))
+
+    def _linked(self, mean: Array, sd: Array) -> Moments:
+        likelihood = self.trained.prior.likelihood
+        if type(likelihood) is Probit:
+            return Moments(mean, sd)
+        return LinkedMoments.of(mean, sd, partial(probability, likelihood))
+
+
+@dataclass(frozen=True)
+class CustomLatent:
+    """The latent of a boundary by a model of the user's; it has the methods of `Latent`.
+
+    A model with a Bernoulli likelihood says how probable a label is. Of any other the sign is the side of the boundary.
+
+    Attributes:
+        make: (features, labels) -> BoTorch model.
+        features: (n, m) scaled features of the training points.
+        labels: (n,), 1 for outcomes at least as severe as the boundary's, 0 for the others.
+    """
+
+    make: Callable[[Tensor, Tensor], Model]
+    features: Array
+    labels: Array
+
+    regression = None
+    length_scales = None
+
+    @cached_property
+    def model(self) -> Model:
+        """The user's model over the scaled features, (..., q, m)."""
+        return self._of(np.ones(len(self.labels), dtype=bool))
+
+    def _of(self, rows: NDArray[np.bool_]) -> Model:
+        model = self.make(torch.from_numpy(self.features[rows]), torch.from_numpy(self.labels[rows]))
+        model.eval()
+        return model
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether all training points are on one side of the boundary."""
+        return bool((self.labels == self.labels[0]).all())
+
+    def moments(self, F: Array) -> Moments:
+        """Marginal mean and standard deviation at scaled features, (n, m)."""
+        return self._linked(self.model, *moments(self.model, F))
+
+    def joint(self, F: Array) -> tuple[Array, Array]:
+        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
+        return joint(self.model, F)
+
+    def left_out(self) -> Moments:
+        """Moments at each training point of a model without it and a tenth of the others, (n,)."""
+        mean, sd = np.empty(len(self.labels)), np.empty(len(self.labels))
+        tenths = np.arange(len(self.labels)) % 10
+        for tenth in np.unique(tenths):
+            rows = tenths == tenth
+            mean[rows], sd[rows] = moments(self._of(~rows), self.features[rows])
+        return self._linked(self.model, mean, sd)
+
+    def _linked(self, model: Model, mean: Array, sd: Array) -> Moments:
+        likelihood = getattr(model, "likelihood", None)
+        if isinstance(likelihood, Probit):
+            return LinkedMoments.of(mean, sd, partial(probability, likelihood))
+        return MarginMoments(mean, sd)
+
+
+@dataclass(frozen=True)
+class VariationalGP:
+    """Learns latents as variational GPs.
+
+    Attributes:
+        kernel: "rbf" or "matern52", or the user's function of the number of features.
+        likelihood: makes a GPyTorch likelihood of labels 0 and 1.
+    """
+
+    kernel: str | MakeKernel = "rbf"
+    likelihood: Callable[[], Any] = Probit
+
+    def prior(self, dimension: int) -> Prior:
+        """The prior of features with this dimension, with its default parameters."""
+        return make_prior(self.kernel, dimension, self.likelihood)
+
+    def learned(self, F: Array, beyond: NDArray[np.bool_], warm: object = None) -> Latent:
+        """The latent of scaled features, (n, m), and sides of the boundary, (n,), from an earlier one of the first."""
+        start = warm.trained if isinstance(warm, Latent) else None
+        return Latent(fit(torch.from_numpy(F), torch.from_numpy(beyond.astype(float)), self.prior, start))
+
+
+@dataclass(frozen=True)
+class CustomModel:
+    """Learns latents by models of the user's.
+
+    Attributes:
+        make: (features, labels) -> BoTorch model, of tensors (n, m) and (n,) of 0 and 1.
+    """
+
+    make: Callable[[Tensor, Tensor], Model]
+
+    def learned(self, F: Array, beyond: NDArray[np.bool_], warm: object = None) -> CustomLatent:
+        """As `VariationalGP.learned`; nothing is taken from an earlier latent."""
+        latent = CustomLatent(self.make, F, beyond.astype(float))
+        latent.moments(F[:1])  # it is made here, where errors of custom code are caught
+        return latent
+
+
+Learner = VariationalGP | CustomModel

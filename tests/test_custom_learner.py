@@ -1,0 +1,115 @@
+"""Kernels, likelihoods, models and criteria of docs/classifier.md, each in a whole campaign."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from commandline import activefail
+
+from activefail import open_run
+
+PAGE = Path(__file__).parents[1] / "docs" / "classifier.md"
+CODE = "\n".join(re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL))
+CAMPAIGN = """
+seed = 3
+[sampling]
+initial = 20
+budget = 26
+batch = 3
+[simulator]
+python = "limit:run"
+outcomes = ["safe", "failure"]
+[space]
+x = {{ low = -5.0, high = 5.0 }}
+y = {{ low = -5.0, high = 5.0 }}
+[classifier]
+features = "design"
+{classifier}
+[acquisition]
+criterion = {criterion}
+"""
+LIMIT = 'def run(v):\n    return "failure" if v["x"] ** 2 / 9 + v["y"] ** 2 / 4 > 1 else "safe"\n'
+CASES = {
+    "kernel": ('kernel = { python = "mine:kernel" }', '"eavc"'),
+    "likelihood": ('kernel = "matern52"\nlikelihood = { python = "mine:Robust" }', '"entropy"'),
+    "model": ('model = { python = "mine:model" }', '"entropy"'),
+    "criterion": ('kernel = "matern52"', '{ python = "mine:Near" }'),
+    "integrated": ('model = { python = "mine:model" }', '{ python = "mine:integrated" }'),
+    "BoTorch's": ("", '{ python = "botorch.acquisition.analytic:PosteriorStandardDeviation" }'),
+}
+
+
+def campaign(folder: Path, case: str) -> Path:
+    classifier, criterion = CASES[case]
+    (folder / "mine.py").write_text(CODE)
+    (folder / "limit.py").write_text(LIMIT)
+    file = folder / "custom.toml"
+    file.write_text(CAMPAIGN.format(classifier=classifier, criterion=criterion))
+    return file
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("case", CASES)
+def test_custom_code_learns_and_proposes_in_a_campaign_and_continues_with_the_same_bits(
+    case: str, tmp_path: Path
+) -> None:
+    file = campaign(tmp_path, case)
+    assert activefail("run", file, "--out", tmp_path / "whole").code == 0
+    # Opened again after each batch, as after a kill.
+    assert activefail("run", file, "--out", tmp_path / "parts", "--budget", 20).code == 0
+    for budget in (23, 26):
+        assert activefail("resume", tmp_path / "parts", "--budget", budget, "--code", tmp_path).code == 0
+    whole, parts = (open_run(tmp_path / name, code=tmp_path) for name in ("whole", "parts"))
+    np.testing.assert_array_equal(whole.history.designs, parts.history.designs)
+    X = whole.space.sobol(64, np.random.default_rng(0))
+    assert parts.predict(X)["p_failure"].to_numpy() == pytest.approx(whole.predict(X)["p_failure"].to_numpy(), abs=1e-9)
+    mean = whole.model("failure").posterior(torch.from_numpy(whole.features(X)).unsqueeze(1)).mean
+    assert mean.detach().numpy().ravel() == pytest.approx(
+        whole.classifier.latent("failure").moments(whole.features(X)).mean
+    )
+    assert activefail("report", tmp_path / "whole", "--code", tmp_path).code == 0
+
+
+def test_a_campaign_whose_learner_changed_is_refused_until_its_folder_is_named(tmp_path: Path) -> None:
+    file, run = campaign(tmp_path, "kernel"), tmp_path / "run"
+    assert activefail("run", file, "--out", run, "--budget", 23).code == 0
+    (tmp_path / "mine.py").write_text(CODE.replace("nu=1.5", "nu=0.5"))
+    refused = activefail("resume", run)
+    assert (refused.code, "custom code" in refused.err, "has changed" in refused.err) == (2, True, True)
+    assert activefail("resume", run, "--code", tmp_path).code == 0
+
+
+@pytest.mark.parametrize(
+    ("case", "code", "says"),
+    [
+        (
+            "kernel",
+            "def kernel(dimension):\n    return 3\n",
+            "classifier.kernel.python: learning failed: AttributeError",
+        ),
+        ("criterion", "class Near:\n    pass\n", "acquisition.criterion.python: learning failed: TypeError"),
+    ],
+)
+def test_an_error_of_custom_code_names_its_setting(case: str, code: str, says: str, tmp_path: Path) -> None:
+    file = campaign(tmp_path, case)
+    (tmp_path / "mine.py").write_text(code)
+    failed = activefail("run", file, "--out", tmp_path / "run")
+    assert failed.code == 2
+    assert says in failed.err
+
+
+@pytest.mark.parametrize(
+    ("classifier", "says"),
+    [
+        ('model = { python = "a:b" }\nlikelihood = { python = "a:b" }', "model: cannot be combined with a custom"),
+        ('kernel = { python = "a:b" }\nlearns = "g"', "learns: must be 'auto' or 'outcomes' with a custom kernel"),
+        ('kernel = "cubic"', "classifier.kernel"),
+    ],
+)
+def test_combinations_without_a_meaning_are_refused(classifier: str, says: str, tmp_path: Path) -> None:
+    file = campaign(tmp_path, "kernel")
+    file.write_text(CAMPAIGN.format(classifier=classifier, criterion='"entropy"'))
+    refused = activefail("run", file, "--out", tmp_path / "run")
+    assert (refused.code, says in refused.err) == (2, True)
