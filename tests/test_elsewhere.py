@@ -239,59 +239,27 @@ def test_wrong_designs_to_predict_are_refused(folder: Path, X: Any, message: str
         run.predict(X)
 
 
-def test_a_classifier_of_outcomes_is_a_botorch_model_over_the_features(lab: Path) -> None:
+@pytest.mark.parametrize("learns", ["outcomes", "g"])
+def test_a_boundary_is_a_botorch_model_over_the_features(lab: Path, learns: str) -> None:
     import torch
+    from botorch.acquisition import PosteriorStandardDeviation
 
-    settings = LAB + '[classifier]\nlearns = "outcomes"\n'
-    lab.write_text(settings)
+    lab.write_text(LAB + f'[classifier]\nlearns = "{learns}"\n')
     with af.create_run(lab.with_name("run"), lab) as run:
         run.tell(answered(run.ask(8)))
-        X = np.array([[1.0, 12.0], [5.0, 2.0]])
-        posterior = run.model("failure").posterior(torch.from_numpy(run.features(X)).unsqueeze(1))
-        predicted = run.predict(X)
+        X, model = np.array([[1.0, 12.0], [5.0, 2.0]]), run.model("failure")
+        F, predicted = torch.from_numpy(run.features(X)).unsqueeze(1).requires_grad_(), run.predict(X)
+        posterior = model.posterior(F)
         np.testing.assert_allclose(posterior.mean.detach().numpy().ravel(), predicted["latent_mean"], atol=1e-6)
         sd = posterior.variance.detach().sqrt().numpy().ravel()
         np.testing.assert_allclose(sd, predicted["latent_sd"], atol=1e-6)
+        # BoTorch's criteria and their gradients work on it.
+        PosteriorStandardDeviation(model)(F).sum().backward()
+        assert F.grad is not None
+        assert bool(torch.isfinite(F.grad).all())
+        assert float(F.grad.abs().max()) > 0.0
         with pytest.raises(InputError, match="outcome: must be one of failure, got 'safe'"):
             run.model("safe")
-
-
-@pytest.mark.parametrize("truncated", [False, True])
-def test_a_regression_of_a_margin_is_a_botorch_model_over_the_features(lab: Path, truncated: bool) -> None:
-    import torch
-    from botorch.acquisition import PosteriorStandardDeviation
-    from botorch.exceptions.errors import UnsupportedError
-
-    lab.write_text(LAB + '[classifier]\nlearns = "g"\n')
-    with af.create_run(lab.with_name("run"), lab) as run:
-        designs = answered(run.ask(8))
-        # At failure this simulation ends: the margin says no more than its sign.
-        run.tell(designs.assign(g=designs["g"].clip(0.0)) if truncated else designs)
-        latent, model = run.classifier.latent("failure"), run.model("failure")
-        assert latent.trained.truncated == truncated
-        X = run.space.latin_hypercube(40, np.random.default_rng(2))
-        F = run.features(X)
-        batched = torch.from_numpy(F).unsqueeze(1)
-        posterior, moments = model.posterior(batched), latent.moments(F)
-        np.testing.assert_allclose(posterior.mean.detach().numpy().ravel(), moments.mean, rtol=1e-6, atol=1e-8)
-        sd = posterior.variance.detach().sqrt().numpy().ravel()
-        np.testing.assert_allclose(sd, moments.sd, rtol=1e-6, atol=1e-8)
-        mean, covariance = latent.joint(F[:10])
-        joint = model.posterior(torch.from_numpy(F[:10]))
-        np.testing.assert_allclose(joint.mean.detach().numpy().ravel(), mean, rtol=1e-6, atol=1e-8)
-        scale = covariance.diagonal().max()
-        np.testing.assert_allclose(
-            joint.distribution.covariance_matrix.detach().numpy(), covariance, rtol=1e-6, atol=1e-7 * scale
-        )
-        with pytest.raises(UnsupportedError, match="cannot be conditioned on observations"):
-            model.condition_on_observations(batched[:, 0], joint.mean)
-        # BoTorch's criteria and their gradients work on it.
-        batched.requires_grad_(True)
-        criterion = PosteriorStandardDeviation(model)(batched)
-        criterion.sum().backward()
-        assert batched.grad is not None
-        assert bool(torch.isfinite(batched.grad).all())
-        assert float(batched.grad.abs().max()) > 0.0
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,8 @@ from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import BoundariesOf, OfBoundary, integrate
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
-from activefail.surrogate.classifier import Classifier, lost_latent
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
 from activefail.verification.probability_estimator import Estimator, Existing
 
@@ -126,7 +127,7 @@ def test_runs_lost_at_random_widen_the_range_by_their_share_and_its_ends_are_in_
         ("safe", "failure"),
         campaign.features,
         (MarginLatent(fit_margin(F[~lost], g[~lost])),),
-        unknown=lost_latent(F, lost, "rbf"),
+        unknown=VariationalGP().learned(F, lost),
     )
     none, learned, every = (
         float(integrate(BoundariesOf(classifier, campaign.features, ends), campaign.space).probability[0])

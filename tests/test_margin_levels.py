@@ -73,7 +73,7 @@ def test_a_saved_classifier_of_levels_is_restored(levelled: Path) -> None:
         margin = run.history.training.margins[:, 0]
     # One regression, of which each boundary is a level.
     assert damage.trained is collapse.trained
-    assert np.array_equal(collapse.trained.margin, margin - LEVELS[1])
+    assert np.array_equal(collapse.trained.data.margin, margin - LEVELS[1])
     assert (damage.level, collapse.level) == (LEVELS[0] - LEVELS[1], 0.0)
 
 
@@ -103,8 +103,8 @@ def test_margins_that_end_at_failure_are_censored_if_the_campaign_says_so(tmp_pa
         (latent,) = run.classifier.latents
         failed = run.history.training.outcome == 1
         assert np.ptp(run.history.training.margins[failed, 0]) > 0.1
-        assert latent.trained.truncated == declared
-        assert (np.ptp(latent.trained.margin[failed]) == 0.0) == declared
+        assert latent.trained.data.truncated == declared
+        assert (np.ptp(latent.trained.data.margin[failed]) == 0.0) == declared
 
 
 def test_margins_that_end_at_the_last_outcome_say_nothing_exact_of_an_earlier_one() -> None:

@@ -29,8 +29,9 @@ from activefail.loop.running import run
 from activefail.loop.telling import add
 from activefail.record.memory import MemoryStore
 from activefail.space import Array
-from activefail.surrogate.classifier import train
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.threads import one_thread
+from activefail.surrogate.training import train
 
 TEST = 300
 
@@ -115,7 +116,7 @@ def test_a_score_is_that_of_a_classifier_of_the_first_designs_on_fresh_ones(
     truth = Disc().run(X).outcome
     for row, designs in zip((first[0][1], first[0][4]), (active, static), strict=True):
         with one_thread():
-            classifier = train(designs, Disc().run(designs).outcome, Disc.outcomes, campaign.features, "rbf")
+            classifier = train(designs, Disc().run(designs).outcome, Disc.outcomes, campaign.features, VariationalGP())
             latent = classifier.latents[0].moments(campaign.features(X))
         sides = (latent.mean > 0.0).astype(int)
         assert row.simulations == 30

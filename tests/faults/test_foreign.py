@@ -24,7 +24,9 @@ from hypothesis.extra import numpy as arrays
 
 from activefail.campaign.on_disk import open_campaign
 from activefail.errors import InputError, StoreError
-from activefail.loop.learning import restore
+from activefail.loop.history import History
+from activefail.loop.learning import learner_of
+from activefail.loop.saved_learning import restore
 from activefail.parameter import Parameter
 from activefail.record.batch import INITIAL, Batch, Schema
 from activefail.record.checkpoint import State, decode, encode
@@ -33,6 +35,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import DesignSpace
+from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.state import classifier_from_state
 from activefail.visible import quoted, visible
 
@@ -381,7 +384,7 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> int:
 @pytest.mark.parametrize(
     ("key", "array"),
     [
-        ("log_lengthscale", np.full(2, 1e300)),
+        ("covar_module.base_kernel.raw_lengthscale", np.full((1, 2), 1e300)),
         ("site_precision", np.full(12, np.nan)),
         ("site_linear", np.zeros(0)),
         ("inducing", np.array([99], dtype=np.int64)),
@@ -409,7 +412,7 @@ def test_a_state_that_no_training_gives_is_skipped_and_learned_again_by_every_co
 numbers = st.one_of(
     arrays.arrays(np.float64, arrays.array_shapes(min_dims=0, max_dims=2, min_side=0, max_side=13)),
     arrays.arrays(np.int64, arrays.array_shapes(min_dims=0, max_dims=2, min_side=0, max_side=13)),
-    arrays.arrays(np.float64, st.sampled_from([(), (2,), (12,)])),
+    arrays.arrays(np.float64, st.sampled_from([(), (1, 2), (12,)])),
     arrays.arrays(np.int64, 3, elements=st.integers(-2, 13)),
 )
 
@@ -420,13 +423,20 @@ def test_arrays_of_any_kind_in_a_state_give_a_classifier_or_none(
     sent: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, survived: Survived
 ) -> None:
     folder = Path(shutil.copytree(sent, tmp_path_factory.mktemp("state") / "run"))
-    keys = ["mean", "log_outputscale", "log_lengthscale", "site_linear", "site_precision", "elbo", "learned_on"]
-    changes = data.draw(st.dictionaries(st.sampled_from([*keys, "inducing"]), numbers, min_size=1, max_size=3))
+    keys = ["site_linear", "site_precision", "elbo", "learned_on", "inducing"]
+    keys += ["mean_module.raw_constant", "covar_module.raw_outputscale", "covar_module.base_kernel.raw_lengthscale"]
+    changes = data.draw(st.dictionaries(st.sampled_from(keys), numbers, min_size=1, max_size=3))
     rewritten(folder, lambda state: state.update({f"failure/{key}": array for key, array in changes.items()}))
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        saved = restore(campaign, store, store.batches[-1].iteration, classifier_from_state)
+
+        def restored(_: int, state: dict[str, Any], history: History) -> Classifier:
+            known = history.training
+            of = known.designs, known.outcome, campaign.simulator.outcomes, campaign.features
+            return classifier_from_state(state, *of, learner_of(campaign))
+
+        saved = restore(store, store.batches[-1].iteration, restored)
         if saved is not None:
-            probabilities = saved[2].probabilities(np.random.default_rng(0).random((5, 2)))
+            probabilities = saved[1].probabilities(np.random.default_rng(0).random((5, 2)))
             assert np.isfinite(probabilities).all()
     survived()
     shutil.rmtree(folder)

@@ -32,8 +32,10 @@ from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 from activefail.surrogate import fitting
-from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.threads import one_thread
+from activefail.surrogate.training import train
 
 INITIAL_SIZE, BUDGET, BATCH = 12, 28, 4
 COMMITS = BUDGET // BATCH
@@ -178,8 +180,8 @@ def test_chosen_designs_teach_more_than_static_ones_and_more_than_the_seed_did(
         hypercube = campaign.space.latin_hypercube(60, stream(campaign.settings.seed, "static", 60))
         with one_thread():
             known = History.of(store.batches).through(0).training
-            seed = train(known.designs, known.outcome, Disc.outcomes, campaign.features, "rbf")
-            static = train(hypercube, Disc().run(hypercube).outcome, Disc.outcomes, campaign.features, "rbf")
+            seed = train(known.designs, known.outcome, Disc.outcomes, campaign.features, VariationalGP())
+            static = train(hypercube, Disc().run(hypercube).outcome, Disc.outcomes, campaign.features, VariationalGP())
             active = current(campaign, store, write=False).classifier
             errors.append([1.0 - accuracy(classifier, 1, X, outcome) for classifier in (seed, static, active)])
     seed_error, static_error, active_error = np.mean(errors, axis=0)
@@ -220,7 +222,7 @@ def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_r
     X = X[X[:, 0] >= FOGGY.blind]
     probe = campaign.space.sobol(64, np.random.default_rng(0))
     with one_thread():
-        clear = train(X, Disc().run(X).outcome, Disc.outcomes, campaign.features, "rbf")
+        clear = train(X, Disc().run(X).outcome, Disc.outcomes, campaign.features, VariationalGP())
         learned = current(campaign, foggy, write=False).classifier
         assert np.array_equal(learned.probabilities(probe), clear.probabilities(probe))
 

@@ -9,7 +9,8 @@ from activefail.parameter import Parameter
 from activefail.reliability.hidden import OUTSIDE, hidden_places
 from activefail.reliability.model_probability import model_probability
 from activefail.space import Array, DesignSpace, radius
-from activefail.surrogate.classifier import Classifier, Latent, lost_latent
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import Latent, VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
@@ -20,7 +21,7 @@ def trained(n: int, exists_below: float = np.inf) -> Classifier:
     X = np.clip(2.0 * SPACE.latin_hypercube(n, np.random.default_rng(n)), -6.4, 6.4)
     latent = MarginLatent(fit_margin(FEATURES(X), 3.0 - X[:, 0] + 0.3 * np.sin(3.0 * X[:, 1])))
     lost = X[:, 0] > exists_below
-    impossible = lost_latent(FEATURES(X), lost, "rbf") if lost.any() else None
+    impossible = VariationalGP().learned(FEATURES(X), lost) if lost.any() else None
     return Classifier(("safe", "failure"), FEATURES, (latent,), impossible=impossible)
 
 

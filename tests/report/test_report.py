@@ -248,7 +248,7 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
     with open_campaign(folder, write=False) as (campaign, store):
         classifier = current(campaign, store, write=False).classifier
-    scales = np.exp(classifier.latent("failure").trained.hyperparameters.log_lengthscale)
+    scales = classifier.latent("failure").length_scales
     rows = Page(html).tables["lengths"][1:]
     shown = {row[0]: row[4] for row in rows}
     names = [quantity.text.replace("_", "") for quantity in quantities.features(campaign)]

@@ -4,7 +4,6 @@ from unittest import mock
 
 import numpy as np
 import pytest
-import torch
 from campaign.stub import HIGH, LOW, Counting, Disc, Raising, disc
 from scipy.stats import norm
 
@@ -17,8 +16,6 @@ from activefail.loop.progress import Observer, standing
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.surrogate import fitting
-from activefail.surrogate.classifier import Latent
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import (
     EDGES,
@@ -53,23 +50,6 @@ def true_error(campaign, classifier, n=40_000):
     X = campaign.space.from_unit(np.random.default_rng(99).random((n, 2)))
     predicted = classifier.latents[0].moments(campaign.features(X)).mean > 0.0
     return np.mean(predicted != (Disc().run(X).outcome == 1))
-
-
-def test_a_left_out_point_is_predicted_as_by_a_posterior_of_the_others_sites():
-    rng = np.random.default_rng(0)
-    X = torch.from_numpy(rng.standard_normal((25, 2)))
-    y = torch.where(X[:, 0] > 0.2, 1.0, -1.0).double()
-    trained = fitting.fit(X, y, "rbf")
-    left_out = Latent(trained).left_out()
-    K = fitting.prior_covariance(X, "rbf", trained.hyperparameters).numpy()
-    m, W, b = trained.hyperparameters.mean, trained.sites.precision.numpy(), trained.sites.linear.numpy()
-    for i in (0, 7, 24):
-        others = np.arange(25) != i
-        # Regression on the pseudo-observations b/W with noise 1/W.
-        noisy = K[np.ix_(others, others)] + np.diag(1.0 / W[others])
-        gain = np.linalg.solve(noisy, K[others, i])
-        assert left_out.mean[i] == pytest.approx(m + gain @ (b[others] / W[others] - m), rel=1e-5, abs=1e-6)
-        assert left_out.sd[i] ** 2 == pytest.approx(K[i, i] - gain @ K[others, i], rel=1e-4)
 
 
 def test_fresh_simulations_are_uniform_within_each_part_and_mostly_where_the_classifier_is_unsure(trained):
