@@ -224,8 +224,11 @@ def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path)
 @pytest.mark.parametrize(
     ("X", "message"),
     [
-        (np.zeros(2), r"X: must be an \(n, 2\) array of numbers with the columns load, strength, got shape \(2,\)"),
-        (np.array([["a", "b"]]), r"X: must be an \(n, 2\) array of numbers"),
+        (
+            np.zeros(2),
+            r"X: must be a table or an \(n, 2\) array of numbers with the columns load, strength, got shape \(2,\)",
+        ),
+        (np.array([["a", "b"]]), r"X: must be a table or an \(n, 2\) array of numbers"),
         (np.array([[1.0, np.nan]]), "X: row 0, column strength: must be finite, got nan"),
         ([{"load": 1.0}], "column 'strength': required, but missing"),
         ([{"load": 1.0, "strength": "much"}], "row 0, column strength: must be a number, got 'much'"),
@@ -794,7 +797,7 @@ def test_predictions_keep_the_index_so_that_they_join_their_designs(folder: Path
         assert predicted.index.tolist() == [5, 2, 7]
         assert predicted["load"].tolist() == some["load"].tolist()
         assert run.predict([[2.0, 4.5]])["load"].tolist() == [2.0]
-        with pytest.raises(InputError, match="X: must be a DataFrame, a dictionary of columns, a list of dictionaries"):
+        with pytest.raises(InputError, match="X: must be a table or an"):
             run.predict(["load"])
 
 

@@ -110,4 +110,8 @@ def _set(prior: Prior, state: State, name: str) -> Prior:
         for key, parameter in prior.named_parameters():
             parameter.copy_(torch.from_numpy(state[f"{name}/{key}"]))
     prior.requires_grad_(False)
+    if prior.length_scales is not None:
+        scales = np.append(prior.length_scales, prior.covar_module.outputscale.numpy())
+        if not (np.isfinite(scales**2).all() and scales.min() > 0.0):
+            raise ArithmeticError
     return prior
