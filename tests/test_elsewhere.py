@@ -226,7 +226,7 @@ def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path)
     [
         (
             np.zeros(2),
-            r"X: must be a table or an \(n, 2\) array of numbers with the columns load, strength, got shape \(2,\)",
+            r"an \(n, 2\) array of numbers with the columns load, strength, got shape \(2,\)",
         ),
         (np.array([["a", "b"]]), r"X: must be a table or an \(n, 2\) array of numbers"),
         (np.array([[1.0, np.nan]]), "X: row 0, column strength: must be finite, got nan"),
