@@ -410,9 +410,9 @@ class Run:
     def model(self, outcome: str | None = None) -> Any:
         """The latent of a boundary as a BoTorch model.
 
-        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. A boundary that is
-        learned from outcomes is a GPyTorch variational GP. One that is learned from a margin is an exact GP: minus the
-        warped margin, without training data of its own, so it cannot be conditioned on more observations.
+        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. It is the very
+        model of the loop: a GPyTorch variational GP of the outcomes, or of minus the warped margin that the boundary is
+        learned from, or a custom model (docs/classifier.md).
 
         Args:
             outcome: of the boundary; the (main) target if None.

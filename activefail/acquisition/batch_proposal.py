@@ -14,11 +14,13 @@ from torch import Tensor
 from activefail.acquisition.by_margin import candidates_by_margin
 from activefail.acquisition.criteria import Choosing, Make, PointwiseCriterion, bald
 from activefail.acquisition.unseen_search import search
+from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.boundary_gp import fantasised, keeping
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import AnyLatent, MarginLatent
+from activefail.surrogate.moments import LARGEST_FEATURE
 
 POOL = 4096
 """Designs in the Sobol' pool of candidates; a power of two."""
@@ -52,8 +54,19 @@ def _weighted(value: Tensor, answers: Tensor | None, is_gain: bool) -> Tensor:
 @torch.no_grad()
 def values(acquisition: AcquisitionFunction, F: Tensor, answers: Tensor | None = None) -> Tensor:
     """Values of an acquisition function at features, (n, m) -> (n,), which count as much as an answer is probable."""
-    value: Tensor = acquisition(F.unsqueeze(-2))
+    value = _checked(acquisition(F.unsqueeze(-2)))
     return _weighted(value, answers, bool(value.max() > 0.0))
+
+
+def _checked(value: Tensor) -> Tensor:
+    """Values of a criterion, (n,).
+
+    Raises:
+        InputError: if one is not finite: a custom criterion may be anything.
+    """
+    if not torch.isfinite(value).all():
+        raise InputError("acquisition.criterion: must be finite at every design, got a value that is not.")
+    return value
 
 
 @torch.no_grad()
@@ -79,7 +92,7 @@ def best_batch(
             taken as a bound of its value afterwards. This holds where references are nearly independent; elsewhere a
             batch loses about one per cent. All are updated after each choice if None.
     """
-    acquired = make(model)(F.unsqueeze(-2))
+    acquired = _checked(make(model)(F.unsqueeze(-2)))
     is_gain = bool(acquired.max() > 0.0)
     value, current = _weighted(acquired, answers, is_gain).clone(), torch.ones(len(F), dtype=torch.bool)
     chosen: list[int] = []
@@ -93,7 +106,7 @@ def best_batch(
             else:
                 rows = torch.where(current, -torch.inf, value).topk(min(block, int((~current).sum()))).indices
                 some = F[rows]
-            updated = acquisition(some.unsqueeze(-2))
+            updated = _checked(acquisition(some.unsqueeze(-2)))
             value[rows] = _weighted(updated, None if answers is None else answers[rows], is_gain)
             current[rows] = True
             value[chosen] = -torch.inf
@@ -132,23 +145,27 @@ def propose(
     """
     by_margin = isinstance(latent, MarginLatent) and not criterion.is_custom
     model, sample = latent.model, _Sample(space, rng, widening)
+
+    def scaled(X: Array) -> Array:
+        return np.clip(features(X), -LARGEST_FEATURE, LARGEST_FEATURE)
+
     known = [X for X in ((pending, failed) if by_margin else (pending,)) if X is not None and len(X)]
     for X in known:
-        model = fantasised(model, torch.from_numpy(features(X)))
+        model = fantasised(model, torch.from_numpy(scaled(X)))
 
     def certain(F: Array) -> Tensor | None:
         return None if answers is None else torch.from_numpy(answers(F))
 
     if by_margin:
         X, references, make = candidates_by_margin(model, features, space, q, rng)
-        F, block = features(X), None
+        F, block = scaled(X), None
     elif criterion.references:
         # It draws new candidates for each batch, so none is an earlier design.
-        X, F = _candidates_by_bald(model, features, sample, certain)
-        references, make, block = torch.from_numpy(features(sample(criterion.references))), criterion.make, LAZY_BLOCK
+        X, F = _candidates_by_bald(model, scaled, sample, certain)
+        references, make, block = torch.from_numpy(scaled(sample(criterion.references))), criterion.make, LAZY_BLOCK
     else:
-        seen = [latent.features, *(features(X) for X in known)]
-        X, F = _candidates_by_search(model, features, sample, criterion.make, q, np.concatenate(seen), failed, certain)
+        seen = [latent.features, *(scaled(X) for X in known)]
+        X, F = _candidates_by_search(model, scaled, sample, criterion.make, q, np.concatenate(seen), failed, certain)
         references, make, block = torch.empty(0, F.shape[1], dtype=torch.float64), criterion.make, None
     candidates = torch.from_numpy(F)
     with keeping(model, candidates, references):
@@ -176,7 +193,7 @@ class _Sample:
 
 def _candidates_by_search(
     model: Model,
-    features: FeatureMap,
+    features: Callable[[Array], Array],
     sample: _Sample,
     make: Make,
     q: int,
@@ -240,7 +257,7 @@ def new_rows(X: Array, F: Array, known: Array, failed: Array | None) -> NDArray[
 
 
 def _candidates_by_bald(
-    model: Model, features: FeatureMap, sample: _Sample, certain: Callable[[Array], Tensor | None]
+    model: Model, features: Callable[[Array], Array], sample: _Sample, certain: Callable[[Array], Tensor | None]
 ) -> tuple[Array, Array]:
     """Candidates, (n, d), and their features, (n, m): the best of a pool by BALD, and some of the others.
 

@@ -21,6 +21,7 @@ from activefail.space import Array, DesignSpace
 from activefail.surrogate.boundary_gp import covariance as covariance_of
 from activefail.surrogate.boundary_gp import marginal, moments
 from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.moments import LARGEST_FEATURE
 
 REFERENCES = 300
 """Designs of the population that represent it in the criterion."""
@@ -134,7 +135,7 @@ def candidates_by_margin(
         return mean / sd
 
     drawn = population(space, SIZE, lambda X: doubt(standardised(finite(features, X))), rng)
-    F = finite(features, drawn.X)
+    F = np.clip(finite(features, drawn.X), -LARGEST_FEATURE, LARGEST_FEATURE)
     uncertain = doubt(standardised(F))
     share = (drawn.weight * uncertain + LEAST) / (drawn.weight * uncertain + LEAST).sum()
     references = rng.choice(len(F), REFERENCES, p=share)

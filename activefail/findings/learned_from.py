@@ -92,7 +92,7 @@ def saved_choices(
             return []
         margin, _, from_margin, from_outcomes, _ = state[f"{outcome}/choice"].tolist()
         name, clipped = "" if margin < 0 else margins[int(margin)], f"{outcome}/clipped" in state
-        support = int(state.get(f"{outcome}/support", 0))
+        support = len(state.get(f"{outcome}/inducing", ())) if name else 0
         unusable = candidate_of(margins, learns)
         rows.append(LearnedFrom(outcome, name, from_margin, from_outcomes, clipped, support, unusable, reason))
     return rows

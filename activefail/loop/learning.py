@@ -56,7 +56,7 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
             make = learner.prior
             latents = (_from_other_starts(one, make) if isinstance(one, Latent) else one for one in classifier.latents)
             classifier = replace(classifier, latents=tuple(latents))
-    return with_lost(campaign, classifier, history)
+        return with_lost(campaign, classifier, history)
 
 
 def _from_other_starts(latent: Latent, make: MakePrior) -> Latent:
@@ -141,8 +141,9 @@ def _learned_of(campaign: Campaign, iteration: int, state: dict[str, NDArray[Any
     known, looks = history.training, looks_from_state(campaign, state)
     data = known.designs, known.outcome, campaign.simulator.outcomes
     margins = margins_of(campaign, known)
-    classifier = classifier_from_state(state, *data, campaign.features, learner_of(campaign), margins)
-    return Learned(iteration, len(history), with_lost(campaign, classifier, history), looks)
+    with campaign.custom_learner():
+        classifier = classifier_from_state(state, *data, campaign.features, learner_of(campaign), margins)
+        return Learned(iteration, len(history), with_lost(campaign, classifier, history), looks)
 
 
 def current(campaign: Campaign, store: Store, write: bool, before: Learned | None = None) -> Learned:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.errors import DamagedError
+from activefail.errors import DamagedError, InputError
 from activefail.loop.history import History
 from activefail.record.store import Store
 from activefail.surrogate.classifier import Classifier
@@ -42,6 +42,8 @@ def restore(
         iteration, state = saved
         try:
             return iteration, use(iteration, state, History.of(store.batches).through(iteration))
+        except InputError:  # of custom code
+            raise
         # Whatever is wrong with a state, the record teaches the same again.
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, DamagedError) as error:
             store.reject_state(iteration, f"cannot be used ({type(error).__name__})")

@@ -214,7 +214,7 @@ def _predicted_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
 def objective_gradient(
     prior: Prior, features: Tensor, labels: Tensor, sites: Sites, tolerance: float, rows: Tensor | None = None
 ) -> tuple[float, list[Tensor], Sites]:
-    """The bound plus the log prior of the hyperparameters, its gradient by the prior's parameters, and the sites.
+    """The bound plus the log prior of the hyperparameters, its gradient by what is learned, and the sites.
 
     Args:
         prior: its parameters require gradients.
@@ -232,7 +232,7 @@ def objective_gradient(
         parts.append((expected, torch.ones_like(expected)))
     parts = [(of, by) for of, by in parts if of.requires_grad]
     of, by = zip(*parts, strict=True)
-    gradient = torch.autograd.grad(of, list(prior.parameters()), by, allow_unused=True, materialize_grads=True)
+    gradient = torch.autograd.grad(of, list(prior.learned.values()), by, allow_unused=True, materialize_grads=True)
     return state.elbo + float(log_density.detach()), list(gradient), sites
 
 
@@ -292,12 +292,13 @@ def _learn_hyperparameters(
     def negative() -> tuple[Tensor, list[Tensor]]:
         nonlocal sites
         value, gradient, sites = objective_gradient(prior, features, labels, sites, 0.1 * tolerance, rows)
-        return torch.tensor(-value), [-of for of in gradient]
+        return torch.tensor(-value, dtype=torch.float64), [-of for of in gradient]
 
-    prior.requires_grad_(True)
+    for parameter in prior.learned.values():
+        parameter.requires_grad_(True)
     scipy_minimize(
         negative,
-        dict(prior.named_parameters()),
+        prior.learned,
         bounds=prior.bounds,
         options={"ftol": 1e-2 * tolerance, "gtol": 10.0 * tolerance, "maxiter": 100},
     )

@@ -29,7 +29,8 @@ _STALE = 0.25
 
 
 def jittered(K: Tensor) -> Tensor:
-    """K, (n, n), with the jitter on its diagonal, in place."""
+    """K, (n, n), with the jitter on its diagonal, in place where it has memory of its own."""
+    K = K.contiguous()
     K.diagonal().add_(JITTER)
     return K
 

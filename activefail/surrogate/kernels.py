@@ -130,13 +130,25 @@ class Prior(gpytorch.Module):
         super().__init__()
         self.mean_module = gpytorch.means.ConstantMean().double()
         self.covar_module, self.likelihood, self.bounds = covar_module, likelihood, bounds
+        self._learned = [name for name, parameter in self.named_parameters() if parameter.requires_grad]
+
+    @property
+    def learned(self) -> dict[str, torch.nn.Parameter]:
+        """The parameters that are learned: those that required gradients when the prior was made."""
+        parameters = dict(self.named_parameters())
+        return {name: parameters[name] for name in self._learned}
 
     def log_density(self) -> Tensor:
-        """Log density of the parameters' logarithms, a scalar. Its mode does not depend on the parameters' units."""
+        """Log density of the registered priors, a scalar.
+
+        Log-normal priors count as densities of the logarithms, whose mode does not depend on the parameters' units.
+        """
         total = torch.zeros((), dtype=torch.float64)
         for _, module, density, value_of, _ in self.named_priors():
             value = value_of(module)
-            total = total + (density.log_prob(value) + value.log()).sum()
+            total = total + density.log_prob(value).sum()
+            if isinstance(density, gpytorch.priors.LogNormalPrior):
+                total = total + value.log().sum()
         return total
 
     def covariance(self, F: Tensor, G: Tensor | None = None) -> Tensor:

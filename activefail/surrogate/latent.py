@@ -97,7 +97,9 @@ class CustomLatent:
         return self._of(np.ones(len(self.labels), dtype=bool))
 
     def _of(self, rows: NDArray[np.bool_]) -> Model:
-        model = self.make(torch.from_numpy(self.features[rows]), torch.from_numpy(self.labels[rows]))
+        with torch.random.fork_rng():
+            torch.manual_seed(0)  # the same data give the same model
+            model = self.make(torch.from_numpy(self.features[rows]), torch.from_numpy(self.labels[rows]))
         model.eval()
         return model
 

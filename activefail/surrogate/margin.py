@@ -336,7 +336,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     def negative() -> tuple[torch.Tensor, list[torch.Tensor]]:
         nonlocal sites, value
         value, gradient, sites = penalised_likelihood(prior, features, y, censored, sites)
-        return torch.tensor(-value), [-of for of in gradient]
+        return torch.tensor(-value, dtype=torch.float64), [-of for of in gradient]
 
     spread = 2.0 * math.log(scale)
     bounds: Bounds = {

@@ -37,6 +37,8 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
                 "truncated": int(data.truncated),
             }
             (linear, precision), inducing = data.sites, data.inducing
+            if data.is_clipped:
+                own["clipped"] = 1  # for readers without the margins
         else:
             linear, precision = (site.numpy() for site in trained.sites)
             own = {"elbo": trained.elbo}

@@ -11,7 +11,7 @@ from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.latent import CustomLatent, Latent, Learner
+from activefail.surrogate.latent import CustomLatent, CustomModel, Latent, Learner
 from activefail.surrogate.margin import MarginFit, MarginLatent, fit_margin
 from activefail.surrogate.margin_choice import (
     OUTCOMES,
@@ -70,8 +70,8 @@ def train(
         margin = margins.values[severity - 1][:, choices[severity - 1].margin]
         return fit_defined(F, margin, before.trained if isinstance(before, MarginLatent) else None)
 
-    # torch and LAPACK release the interpreter's lock, so boundaries train in parallel.
-    with ThreadPoolExecutor(len(severities)) as pool:
+    # torch and LAPACK release the interpreter's lock, so boundaries train in parallel; a user's model may not.
+    with ThreadPoolExecutor(1 if isinstance(learner, CustomModel) else len(severities)) as pool:
         choices = () if margins is None else tuple(pool.map(chosen, severities))
         own = [severity for severity in severities if learned_with(choices, severity) == severity]
         trained = dict(zip(own, pool.map(learned, own), strict=True))
