@@ -87,7 +87,7 @@ def test_a_campaign_whose_learner_changed_is_refused_until_its_folder_is_named(t
         (
             "kernel",
             "def kernel(dimension):\n    return 3\n",
-            "classifier.kernel.python: learning failed: AttributeError",
+            "classifier.kernel: must return a GPyTorch kernel, got int",
         ),
         ("criterion", "class Near:\n    pass\n", "acquisition.criterion.python: learning failed: TypeError"),
     ],

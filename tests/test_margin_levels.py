@@ -86,7 +86,8 @@ def test_one_margin_has_one_latent_so_that_an_outcome_is_as_probable_as_its_leve
     for outcome, level in zip(("p_damage", "p_collapse"), LEVELS, strict=True):
         below = ndtr((latent.trained.data.warped(np.array(level - LEVELS[1])) + moments.mean) / moments.sd)
         beyond = predicted["p_collapse"] + (predicted["p_damage"] if outcome == "p_damage" else 0.0)
-        assert beyond.to_numpy() == pytest.approx(below, abs=1e-6)
+        # A regression without noise amplifies rounding, which differs between the two readers.
+        assert beyond.to_numpy() == pytest.approx(below, abs=1e-4)
 
 
 @pytest.mark.parametrize("declared", [False, True])

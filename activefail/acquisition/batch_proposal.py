@@ -54,18 +54,19 @@ def _weighted(value: Tensor, answers: Tensor | None, is_gain: bool) -> Tensor:
 @torch.no_grad()
 def values(acquisition: AcquisitionFunction, F: Tensor, answers: Tensor | None = None) -> Tensor:
     """Values of an acquisition function at features, (n, m) -> (n,), which count as much as an answer is probable."""
-    value = _checked(acquisition(F.unsqueeze(-2)))
+    value = _checked(acquisition(F.unsqueeze(-2)), len(F))
     return _weighted(value, answers, bool(value.max() > 0.0))
 
 
-def _checked(value: Tensor) -> Tensor:
+def _checked(value: Tensor, n: int) -> Tensor:
     """Values of a criterion, (n,).
 
     Raises:
-        InputError: if one is not finite: a custom criterion may be anything.
+        InputError: if they are no n finite numbers: a custom criterion may be anything.
     """
-    if not torch.isfinite(value).all():
-        raise InputError("acquisition.criterion: must be finite at every design, got a value that is not.")
+    if not isinstance(value, Tensor) or value.shape != (n,) or not torch.isfinite(value).all():
+        got = f"a tensor {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+        raise InputError(f"acquisition.criterion: must be a tensor ({n},) of finite values for {n} designs, got {got}.")
     return value
 
 
@@ -92,7 +93,7 @@ def best_batch(
             taken as a bound of its value afterwards. This holds where references are nearly independent; elsewhere a
             batch loses about one per cent. All are updated after each choice if None.
     """
-    acquired = _checked(make(model)(F.unsqueeze(-2)))
+    acquired = _checked(make(model)(F.unsqueeze(-2)), len(F))
     is_gain = bool(acquired.max() > 0.0)
     value, current = _weighted(acquired, answers, is_gain).clone(), torch.ones(len(F), dtype=torch.bool)
     chosen: list[int] = []
@@ -106,7 +107,7 @@ def best_batch(
             else:
                 rows = torch.where(current, -torch.inf, value).topk(min(block, int((~current).sum()))).indices
                 some = F[rows]
-            updated = _checked(acquisition(some.unsqueeze(-2)))
+            updated = _checked(acquisition(some.unsqueeze(-2)), len(some))
             value[rows] = _weighted(updated, None if answers is None else answers[rows], is_gain)
             current[rows] = True
             value[chosen] = -torch.inf

@@ -293,5 +293,5 @@ def fantasised(model: Model, P: Tensor) -> Model:
     try:
         with torch.no_grad():
             return model.condition_on_observations(P, model.posterior(P).mean)
-    except (NotImplementedError, RuntimeError, UnsupportedError):
+    except (AttributeError, NotImplementedError, RuntimeError, UnsupportedError):
         return model

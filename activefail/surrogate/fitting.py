@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
+import gpytorch
 import numpy as np
 import torch
 from botorch.optim.core import scipy_minimize
 from torch import Tensor
 
+from activefail.errors import InputError
 from activefail.surrogate.boundary_gp import BoundaryModel
 from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.inducing import LEFT, MOST, choose, jittered, project
@@ -65,10 +67,19 @@ def make_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[]
         likelihood: makes a one-dimensional GPyTorch likelihood of labels 0 and 1.
 
     Raises:
+        InputError: if custom code makes no kernel, or no likelihood.
         ValueError: if the kernel is unknown.
     """
+    labels = likelihood()
+    if not isinstance(labels, Probit):
+        raise InputError(
+            f"classifier.likelihood: must be a BernoulliLikelihood of GPyTorch, got {type(labels).__name__}."
+        )
     if not isinstance(kernel, str):
-        return Prior(kernel(dimension).double(), likelihood().double(), {})
+        covariance = kernel(dimension)
+        if not isinstance(covariance, gpytorch.kernels.Kernel):
+            raise InputError(f"classifier.kernel: must return a GPyTorch kernel, got {type(covariance).__name__}.")
+        return Prior(covariance.double(), labels.double(), {})
     covariance = scaled_kernel(kernel, dimension, length_scale_prior(dimension), OUTPUTSCALE_PRIOR)
     covariance.initialize(outputscale=10.0)
     # A length scale of the features' spread times the root of their number, as in the prior.
@@ -78,7 +89,7 @@ def make_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[]
         "covar_module.raw_outputscale": (-5.0, 12.0),
         "covar_module.base_kernel.raw_lengthscale": (-5.0, 8.0),
     }
-    return Prior(covariance, likelihood().double(), bounds)
+    return Prior(covariance, labels.double(), bounds)
 
 
 @dataclass(frozen=True)

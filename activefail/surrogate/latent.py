@@ -11,6 +11,7 @@ from botorch.models.model import Model
 from numpy.typing import NDArray
 from torch import Tensor
 
+from activefail.errors import InputError
 from activefail.space import Array
 from activefail.surrogate.boundary_gp import joint, moments
 from activefail.surrogate.fitting import Fit, fit, leave_one_out, make_prior
@@ -100,6 +101,8 @@ class CustomLatent:
         with torch.random.fork_rng():
             torch.manual_seed(0)  # the same data give the same model
             model = self.make(torch.from_numpy(self.features[rows]), torch.from_numpy(self.labels[rows]))
+        if not isinstance(model, Model):
+            raise InputError(f"classifier.model: must return a BoTorch model, got {type(model).__name__}.")
         model.eval()
         return model
 
@@ -126,6 +129,8 @@ class CustomLatent:
         return self._linked(self.model, mean, sd)
 
     def _linked(self, model: Model, mean: Array, sd: Array) -> Moments:
+        if not (np.isfinite(mean).all() and np.isfinite(sd).all()):
+            raise InputError("classifier.model: its posterior must be finite at every design, got one that is not.")
         likelihood = getattr(model, "likelihood", None)
         if isinstance(likelihood, Probit):
             return LinkedMoments.of(mean, sd, partial(probability, likelihood))
