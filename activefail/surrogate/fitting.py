@@ -1,4 +1,4 @@
-"""Trains a variational GP classifier on outcomes: sites by fixed-point iteration, hyperparameters by BoTorch's L-BFGS.
+"""Trains a variational GP classifier on outcomes: sites by fixed-point iteration, hyperparameters by L-BFGS.
 
 The hyperparameters maximise the bound at the optimal sites, whose derivative by the covariance is closed and needs no
 derivative of the sites; autograd leads on through the kernel. Up to `EXACT` points the posterior is that of all points;
@@ -15,14 +15,21 @@ from typing import Any
 import gpytorch
 import numpy as np
 import torch
-from botorch.optim.core import scipy_minimize
 from torch import Tensor
 
 from activefail.errors import InputError
 from activefail.surrogate.boundary_gp import BoundaryModel
 from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.inducing import LEFT, MOST, choose, jittered, project
-from activefail.surrogate.kernels import OUTPUTSCALE_PRIOR, Bounds, MakeKernel, Prior, length_scale_prior, scaled_kernel
+from activefail.surrogate.kernels import (
+    OUTPUTSCALE_PRIOR,
+    Bounds,
+    MakeKernel,
+    Prior,
+    length_scale_prior,
+    minimise,
+    scaled_kernel,
+)
 from activefail.surrogate.likelihoods import Probit, expectations, marginals
 from activefail.surrogate.readout import Readout, of_all, of_inducing
 from activefail.surrogate.sites import (
@@ -307,11 +314,11 @@ def _learn_hyperparameters(
 
     for parameter in prior.learned.values():
         parameter.requires_grad_(True)
-    scipy_minimize(
+    minimise(
         negative,
         prior.learned,
-        bounds=prior.bounds,
-        options={"ftol": 1e-2 * tolerance, "gtol": 10.0 * tolerance, "maxiter": 100},
+        prior.bounds,
+        {"ftol": 1e-2 * tolerance, "gtol": 10.0 * tolerance, "maxiter": 100},
     )
     prior.requires_grad_(False)
     return sites

@@ -7,6 +7,9 @@ from typing import Any
 import gpytorch
 import numpy as np
 import torch
+from botorch.optim.closures.core import NdarrayOptimizationClosure
+from botorch.optim.utils import get_bounds_as_ndarray
+from scipy.optimize import minimize
 from torch import Tensor
 
 from activefail.surrogate.covariance import check_kernel, correlation, correlation_and_slope
@@ -170,3 +173,25 @@ class Prior(gpytorch.Module):
         if not _is_built_in(self.covar_module):
             return None
         return np.asarray(self.covar_module.base_kernel.lengthscale.detach().numpy()[0])
+
+
+def minimise(
+    objective: Callable[[], tuple[Tensor, list[Tensor]]],
+    parameters: dict[str, torch.nn.Parameter],
+    bounds: Bounds,
+    options: dict[str, Any],
+) -> None:
+    """Set parameters to those with the least value of an objective, by L-BFGS.
+
+    As BoTorch's `scipy_minimize`, which also limits the threads of BLAS: that reads the map of the process each time.
+
+    Args:
+        objective: value and gradient, one for each parameter.
+        parameters: by name.
+        bounds: of some parameters.
+        options: of SciPy's "L-BFGS-B".
+    """
+    closure = NdarrayOptimizationClosure(objective, parameters)
+    within = get_bounds_as_ndarray(parameters, bounds)
+    found = minimize(closure, closure.state, jac=True, bounds=within, method="L-BFGS-B", options=options)
+    closure.state = found.x

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import gpytorch
 import numpy as np
 import torch
-from botorch.optim.core import scipy_minimize
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
@@ -28,7 +27,7 @@ from activefail.surrogate.boundary_gp import BoundaryModel, joint, moments
 from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
 from activefail.surrogate.covariance import NUGGET
 from activefail.surrogate.inducing import choose
-from activefail.surrogate.kernels import Bounds, Prior, scaled_kernel
+from activefail.surrogate.kernels import Bounds, Prior, minimise, scaled_kernel
 from activefail.surrogate.latent import CustomLatent, Latent
 from activefail.surrogate.margin_data import EXACT, KERNEL, WARPINGS, MarginData, is_truncated, spread
 from activefail.surrogate.moments import MarginMoments
@@ -345,7 +344,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
         "covar_module.base_kernel.raw_lengthscale": (-4.0, 8.0),
     }
     prior.requires_grad_(True)
-    scipy_minimize(negative, dict(prior.named_parameters()), bounds=bounds, options=_SEARCH)
+    minimise(negative, prior.learned, bounds, _SEARCH)
     negative()
     prior.requires_grad_(False)
     jacobian = float((log_slope(exact / unit) - math.log(unit)).sum())

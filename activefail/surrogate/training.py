@@ -71,10 +71,11 @@ def train(
         return fit_defined(F, margin, before.trained if isinstance(before, MarginLatent) else None)
 
     # torch and LAPACK release the interpreter's lock, so boundaries train in parallel; a user's model may not.
-    with ThreadPoolExecutor(1 if isinstance(learner, CustomModel) else len(severities)) as pool:
-        choices = () if margins is None else tuple(pool.map(chosen, severities))
+    with ThreadPoolExecutor(len(severities)) as pool:
+        over = map if len(severities) == 1 or isinstance(learner, CustomModel) else pool.map
+        choices = () if margins is None else tuple(over(chosen, severities))
         own = [severity for severity in severities if learned_with(choices, severity) == severity]
-        trained = dict(zip(own, pool.map(learned, own), strict=True))
+        trained = dict(zip(own, over(learned, own), strict=True))
     latents = []
     for severity in severities:
         of_boundary = trained[learned_with(choices, severity)]

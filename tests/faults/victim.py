@@ -37,6 +37,8 @@ from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
+from activefail.surrogate.latent import VariationalGP
+from activefail.surrogate.threads import one_thread
 
 INITIAL, BUDGET, BATCH = 6, 12, 3
 COMMITS = BUDGET // BATCH
@@ -214,6 +216,10 @@ def without_locks() -> None:
 
 def serve() -> None:
     """Obey until the input ends."""
+    # Before the victims, as h5py: torch loads more modules when it first learns, and SciPy its direction numbers.
+    with one_thread():
+        VariationalGP().learned(np.eye(3), np.array([True, False, True]))
+    campaign().space.sobol(2, np.random.default_rng(0))
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
