@@ -22,8 +22,7 @@ from activefail.distributions import BOUNDED
 from activefail.features import FeatureMap, feature_map
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.fitting import fit
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
 SETS = ("design", "normals", "decorrelated")
@@ -91,8 +90,7 @@ def scores(parameters, limit, rho, seed):
     for name in SETS:
         features = features_of(name, space)
         moments = MarginLatent(fit_margin(features(few), g[0])).moments(features(fresh))
-        labels = torch.from_numpy(np.where(g[1] <= 0.0, 1.0, -1.0))
-        outcomes = Latent(fit(torch.from_numpy(features(many)), labels, "matern52")).moments(features(fresh))
+        outcomes = VariationalGP("matern52").learned(features(many), g[1] <= 0.0).moments(features(fresh))
         z = moments.standardised, outcomes.mean / np.sqrt(1.0 + outcomes.sd**2)
         rows.append([value for one in z for value in (log_ndtr(side * one).mean(), np.mean(side * one < 0.0))])
     return rows

@@ -26,12 +26,16 @@ from study import asked, uniform
 
 from activefail.bearing import TABLE_1, simulate
 from activefail.features import feature_map
-from activefail.surrogate import sites
+from activefail.surrogate import likelihoods, sites
 from activefail.surrogate.covariance import JITTER
-from activefail.surrogate.sites import Sites, solve_sites
+from activefail.surrogate.sites import Sites, Whole, solve_sites
 
-PROBIT = sites.probit_expectations
-NODES, WEIGHTS = sites.quadrature()
+NODES, WEIGHTS = likelihoods._NODES, likelihoods._WEIGHTS
+
+
+def PROBIT(labels, mean, variance):
+    """Of labels -1 and 1."""
+    return likelihoods._of_probit(0.5 * (labels + 1.0), mean, variance)
 
 
 def density(z, log_scale):
@@ -140,10 +144,12 @@ class Variant:
         return lapse(self.rate) if self.rate else PROBIT
 
     def solve(self, theta, K, tolerance):
-        sites.probit_expectations = self.likelihood(theta)  # what solve_sites climbs
+        expected = self.likelihood(theta)
+        sites.expectations = lambda _, *of: expected(*of)  # what solve_sites climbs
         K = K.detach().clone()
         K.diagonal().add_(JITTER)
-        self.sites, state = solve_sites(K, float(theta[0]), self.labels, self.sites, tolerance)
+        prior = Whole(torch.full((len(K),), float(theta[0]), dtype=K.dtype), K)
+        self.sites, state = solve_sites(prior, None, self.labels, self.sites, tolerance)
         return state
 
     def objective(self, theta, tolerance=1e-4):
@@ -151,9 +157,7 @@ class Variant:
         K, prior = self.covariance(at, self.F, self.F), self.log_prior(at)
         state = self.solve(theta, K, tolerance)
         root = self.sites.precision.sqrt()
-        by_K = (
-            torch.outer(state.alpha, state.alpha) - root.unsqueeze(1) * torch.cholesky_inverse(state.cholesky_b) * root
-        )
+        by_K = torch.outer(state.alpha, state.alpha) - root.unsqueeze(1) * torch.cholesky_inverse(state.factor) * root
         torch.autograd.backward([K, prior], [0.5 * by_K, None])
         gradient = at.grad.numpy().copy()
         gradient[0] += float(state.alpha.sum())
@@ -174,7 +178,7 @@ class Variant:
         theta, root, z = torch.tensor(self.theta), self.sites.precision.sqrt(), []
         for A in torch.from_numpy(F).split(2000):
             k = self.covariance(theta, self.F, A)
-            V = torch.linalg.solve_triangular(self.state.cholesky_b, root.unsqueeze(1) * k, upper=False)
+            V = torch.linalg.solve_triangular(self.state.factor, root.unsqueeze(1) * k, upper=False)
             prior = torch.cat([self.covariance(theta, rows, rows).diagonal() for rows in A.split(50)])
             variance = (prior - (V * V).sum(0)).clamp_min(0.0)
             z.append((theta[0] + k.T @ self.state.alpha - threshold) / (1.0 + variance).sqrt())
@@ -329,7 +333,7 @@ def main():
                 seen = (warped(F, reference), warped(F_fresh, reference)) if "warped" in variant else (F, F_fresh)
                 figures = report(variant, seen[0], outcome, seen[1], happened, severity)
             print(f"{how}  {variant:22}  {figures}", flush=True)
-        sites.probit_expectations = PROBIT
+        sites.expectations = likelihoods.expectations
 
 
 if __name__ == "__main__":

@@ -33,29 +33,30 @@ lbfgs and svgp stop when they are within --short nats of activefail's objective.
 import math
 import time
 import warnings
+from functools import partial
 
 import gpytorch
 import numpy as np
 import torch
-from activefail.surrogate.gpytorch_model import covariance_module
 from scipy.optimize import minimize
 from scipy.special import ndtr
 from study import asked, head, timed, uniform
 from study import line as row
 
 from activefail.acquisition.batch_proposal import propose
-from activefail.acquisition.criteria import entropy
+from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE
 from activefail.features import feature_map
 from activefail.surrogate import fitting
-from activefail.surrogate.classifier import Latent
 from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.inducing import choose, project
+from activefail.surrogate.latent import Latent
 from activefail.surrogate.sites import Sites, solve_sites
 from activefail.surrogate.threads import one_thread
 
 FRESH, BATCH, KERNEL = 4000, 10, "matern52"
+PRIOR = partial(fitting.make_prior, KERNEL)
 INDUCING, MINIBATCH = 500, 1000
 
 
@@ -102,7 +103,7 @@ class Problem:
         self.F_fresh, self.y_fresh = features(self.fresh), labels(self.fresh)
 
     def fit(self, n, warm=None):
-        return fitting.fit(self.F[:n], self.y[:n], KERNEL, warm)
+        return fitting.fit(self.F[:n], (self.y[:n] > 0.0).double(), PRIOR, warm)
 
     def judged(self, trained):
         return verdict(Latent(trained).moments(self.F_fresh).standardised, self.y_fresh)
@@ -114,35 +115,35 @@ def ours(problem):
 
     def ready(*of):
         trained = problem.fit(*of)
-        fitting.readout(trained)
+        trained.model.moments(problem.F[:1])
         return trained
 
     cold, seconds = timed(ready, n)
     points = n if cold.inducing is None else len(cold.inducing)
-    note = f"{cold.evaluations} evaluations, {points} points"
-    line(n, "cold", fitting.objective(cold), seconds, problem.judged(cold), note)
+    note = f"{points} points"
+    line(n, "cold", cold.objective, seconds, problem.judged(cold), note)
     for who, size in (("warm", n + BATCH), ("relearned", len(problem.y))):
         warm, seconds = timed(ready, size, cold)
-        line(n, who, fitting.objective(warm), seconds, problem.judged(warm), f"{size - n} designs more")
+        line(n, who, warm.objective, seconds, problem.judged(warm), f"{size - n} designs more")
     rng = np.random.default_rng(1)
-    _, seconds = timed(propose, Latent(warm), problem.features, TABLE_1, entropy, BATCH, rng)
+    _, seconds = timed(propose, Latent(warm), problem.features, TABLE_1, criterion("entropy"), BATCH, rng)
     line(n, "propose", None, seconds)
-    return fitting.objective(cold)
+    return cold.objective
 
 
 def inducing_points(problem, numbers):
-    n, F, y = problem.n, problem.F[: problem.n], problem.y[: problem.n]
-    h = problem.fit(n).hyperparameters
+    n, F, y = problem.n, problem.F[: problem.n], (problem.y[: problem.n] > 0.0).double()
+    of = problem.fit(n).prior
     fitting.EXACT = n
-    start = Sites(0.1 * y, torch.full_like(y, 0.1))
-    exact, seconds = timed(lambda: fitting.condition(F, y, KERNEL, h, tolerance=1e-3))
+    start = Sites(0.2 * y - 0.1, torch.full_like(y, 0.1))
+    exact, seconds = timed(lambda: fitting.condition(of, F, y, tolerance=1e-3))
     line(n, "exact", exact.elbo, seconds, problem.judged(exact))
     for name, weights in (("W rest", exact.sites.precision), ("rest", torch.ones(n, dtype=torch.float64))):
         for most in numbers:
-            rows, _ = choose(F, weights, KERNEL, h, most=most)
-            prior = project(F, rows, KERNEL, h)
-            (sites, state), seconds = timed(lambda prior=prior: solve_sites(prior, h.mean, y, start, 1e-3))
-            fit = fitting.Fit(KERNEL, F, y, h, sites, state.elbo, 0, n, rows)
+            rows, _ = choose(of, F, weights, most=most)
+            prior = project(of, F, rows)
+            (sites, state), seconds = timed(lambda prior=prior: solve_sites(prior, of.likelihood, y, start, 1e-3))
+            fit = fitting.Fit(of, F, y, sites, state.elbo, n, rows)
             note = f"{len(rows)} points, {exact.elbo - fit.elbo:.2f} short"
             line(n, name, fit.elbo, seconds, problem.judged(fit), note)
 
@@ -154,7 +155,7 @@ class Variational(gpytorch.models.ApproximateGP):
         q = gpytorch.variational.CholeskyVariationalDistribution(len(Z)).double()
         super().__init__(gpytorch.variational.VariationalStrategy(self, Z, q, move, jitter_val=JITTER))
         self.mean_module = gpytorch.means.ConstantMean().double()
-        self.covar_module = covariance_module(KERNEL, Z.shape[1])
+        self.covar_module = PRIOR(Z.shape[1]).covar_module
         # Where ours starts.
         self.covar_module.outputscale = 10.0
         self.covar_module.base_kernel.lengthscale = math.sqrt(Z.shape[1])
@@ -277,7 +278,7 @@ def main():
     features = feature_map(options.features, TABLE_1)
     with one_thread():
         problem = Problem(features, 32, options.seed)  # everything is loaded and compiled before the clock runs
-        propose(Latent(problem.fit(32)), features, TABLE_1, entropy, 1, np.random.default_rng(0))
+        propose(Latent(problem.fit(32)), features, TABLE_1, criterion("entropy"), 1, np.random.default_rng(0))
         head("n", "", "seconds", "objective", "accuracy", "log score", "")
         for n in options.n:
             problem = Problem(features, n, options.seed)

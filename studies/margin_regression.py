@@ -17,8 +17,7 @@ import torch
 from scipy.special import log_ndtr
 from study import asked, head, line, parallel, timed
 
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.fitting import fit
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
 
@@ -44,8 +43,7 @@ def measured(n, dimension, truncated):
     _, warm = timed(fit_margin, more, g, truncated, trained)
     moments, prediction = timed(MarginLatent(trained).moments, fresh)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    labels = torch.from_numpy(np.where(g[:n] <= 0.0, 1.0, -1.0))
-    outcomes = Latent(fit(torch.from_numpy(more[:n]), labels, "matern52")).moments(fresh[:4000])
+    outcomes = VariationalGP("matern52").learned(more[:n], g[:n] <= 0.0).moments(fresh[:4000])
     z = moments.standardised[:4000], outcomes.mean / np.sqrt(1.0 + outcomes.sd**2)
     return [cold, warm, prediction, memory], [
         (100.0 * np.mean(side * one < 0.0), log_ndtr(side * one).mean()) for one in z

@@ -23,8 +23,8 @@ from activefail.acquisition.batch_proposal import propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.features import feature_map
-from activefail.surrogate.classifier import Latent, train
-from activefail.surrogate.fitting import fit
+from activefail.surrogate.latent import VariationalGP
+from activefail.surrogate.training import train
 
 INITIAL, FRESH = 250, 8000
 
@@ -50,7 +50,9 @@ def designs(features, n, active, seed, sampling):
     X = TABLE_1.latin_hypercube(start, np.random.default_rng([seed, start]))
     outcome, classifier = outcome_of(X), None
     while len(X) < n:
-        classifier = train(X, outcome, ("no impact", "impact", "failure"), features, sampling.kernel, classifier)
+        classifier = train(
+            X, outcome, ("no impact", "impact", "failure"), features, VariationalGP(sampling.kernel), classifier
+        )
         batch = propose_shared(
             classifier,
             TABLE_1,
@@ -129,9 +131,11 @@ def main():
         for how, X, outcome in samples(features, options):
             p = []
             for rows, least in ((outcome >= 0, 1), (outcome >= 0, 2), (outcome >= 1, 2), (outcome <= 1, 1)):
-                labels = torch.from_numpy(np.where(outcome[rows] >= least, 1.0, -1.0))
                 p.append(
-                    Latent(fit(torch.from_numpy(features(X[rows])), labels, options.kernel)).moments(F).probability
+                    VariationalGP(options.kernel)
+                    .learned(features(X[rows]), outcome[rows] >= least)
+                    .moments(F)
+                    .probability
                 )
             for coupling, probabilities in couplings(*p).items():
                 if not options.couplings or coupling in options.couplings:

@@ -23,7 +23,8 @@ from activefail.features import CustomFeatures, feature_map
 from activefail.risk.ida.collapse import jackknife
 from activefail.risk.ida.equivalent_pulse import equivalent_pulse
 from activefail.risk.ida.intensity import spectral_acceleration
-from activefail.surrogate.classifier import train
+from activefail.surrogate.latent import VariationalGP
+from activefail.surrogate.training import train
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 PERIODS = np.linspace(2.0, 6.0, 17)
@@ -118,7 +119,7 @@ def main():
             predicted = np.zeros(len(X), dtype=bool)
             for one in dict.fromkeys(events):
                 rows = np.flatnonzero(event != one)[:count]
-                classifier = train(X[rows], outcome[rows], o.OUTCOMES, mapped, "matern52")
+                classifier = train(X[rows], outcome[rows], o.OUTCOMES, mapped, VariationalGP("matern52"))
                 here = event == one
                 predicted[here] = classifier.probabilities(X[here]).argmax(axis=1) == o.FAILURE
             show(name, count, predicted)

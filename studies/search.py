@@ -19,8 +19,9 @@ from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs
 from activefail.loop.proposing import next_designs
-from activefail.surrogate.classifier import train
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.threads import one_thread
+from activefail.surrogate.training import train
 
 INITIAL, BATCH, BATCHES = 30, 5, 6
 
@@ -30,7 +31,7 @@ def first_failure(campaign, searching):
     X, problem, settings = initial_designs(campaign), campaign.simulator, campaign.settings.acquisition
     for iteration in range(1, BATCHES + 1):
         outcome = problem.run(X).outcome
-        classifier = train(X, outcome, problem.outcomes, campaign.features, "rbf")
+        classifier = train(X, outcome, problem.outcomes, campaign.features, VariationalGP("rbf"))
         chosen, rng = (iteration - 1) * BATCH, stream(campaign.settings.seed, "propose", iteration)
         if searching:
             known = History.of_sample(X, problem.run(X))
