@@ -39,11 +39,11 @@ _ALWAYS, _GROWTH = 30, 0.05
 _SEARCH = {"ftol": 1e-7, "gtol": 1e-3, "maxiter": 200}
 """Options of L-BFGS: the likelihood is as good as found when a step gains a ten-millionth of it."""
 
-LEARNED_ON = 500
+LEARNED_ON = 1000
 """Most points for learning hyperparameters: a step of the search costs the cube of their number. They are evenly spread
 over the sorted margins; a surplus of points near the boundary would make the regression too sure of itself."""
 
-COARSE = 250
+COARSE = 500
 """Most points for choosing a warping; with more, the hyperparameters learned there are the starting point."""
 
 INDUCING = 1000
