@@ -8,9 +8,8 @@ from typing import Any
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue
 from activefail.campaign.known_code import code_for, remember_code
-from activefail.campaign.on_disk import create_folder, opened, read_campaign
+from activefail.campaign.on_disk import campaign_file, create_folder, opened, read_campaign
 from activefail.campaign.settings import CampaignSettings, checked
-from activefail.campaign.shipped import campaign_file
 from activefail.errors import InputError
 from activefail.files import path_of
 from activefail.record.layout import SETTINGS

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from activefail.campaign.question import Question
     from activefail.comparison.equivalent import ComparisonFindings
     from activefail.execution.executor import Executor
-    from activefail.findings.error import ErrorFindings
-    from activefail.findings.probability import ProbabilityFindings
+    from activefail.findings.estimates import ErrorFindings, ProbabilityFindings
     from activefail.report.evidence import ReportFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
@@ -126,7 +125,7 @@ class VerifyRequest(Request["ErrorFindings"]):
     confidence: float = confidence(0.9, "of the interval")
 
     def answer(self, run: "Run") -> "ErrorFindings":
-        from activefail.findings.error import ErrorFindings
+        from activefail.findings.estimates import ErrorFindings
         from activefail.verification.error import verify
 
         with estimating(run, self.executor, self.stage) as estimator:
@@ -153,7 +152,7 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
 
     def answer(self, run: "Run") -> "ProbabilityFindings":
         from activefail.campaign.inquiry import Inquiry
-        from activefail.findings.probability import ProbabilityFindings
+        from activefail.findings.estimates import ProbabilityFindings
         from activefail.findings.status import estimate_of
 
         outcome = run._boundary_named(self.outcome)
@@ -223,7 +222,7 @@ class FragilityRequest(Request["FragilityFindings"]):
         write_curves(findings, target)
 
     def write_pages(self, findings: "FragilityFindings", run: "Run", out: Path) -> list[Path]:
-        from activefail.report.fragility import write_fragility
+        from activefail.report.analyses import write_fragility
 
         return write_fragility(findings, out)
 
@@ -284,7 +283,7 @@ class DesignRequest(Request["DesignFindings"]):
         return findings
 
     def write_pages(self, findings: "DesignFindings", run: "Run", out: Path) -> list[Path]:
-        from activefail.report.design import write_design
+        from activefail.report.analyses import write_design
 
         return write_design(findings, out)
 
@@ -317,7 +316,7 @@ class SensitivityRequest(Request["SensitivityFindings"]):
 
     def answer(self, run: "Run") -> "SensitivityFindings":
         from activefail.campaign.inquiry import Inquiry
-        from activefail.paper.p_values import variable_p_values
+        from activefail.paper.study import variable_p_values
         from activefail.reliability.integral import BoundariesOf
         from activefail.risk.sensitivity.calculation import sensitivity
 
@@ -336,7 +335,7 @@ class SensitivityRequest(Request["SensitivityFindings"]):
         write_csv(findings, target)
 
     def write_pages(self, findings: "SensitivityFindings", run: "Run", out: Path) -> list[Path]:
-        from activefail.report.sensitivity import write_sensitivity
+        from activefail.report.analyses import write_sensitivity
 
         return write_sensitivity(findings, run.campaign, out)
 
@@ -455,7 +454,7 @@ class IdaRequest(Request["IdaFindings"]):
             raise KeyboardInterrupt(kept) from None
 
     def write_pages(self, findings: "IdaFindings", run: "Run | None", out: Path) -> list[Path]:
-        from activefail.report.ida import write_ida
+        from activefail.report.analyses import write_ida
 
         return write_ida(findings, out)
 
@@ -561,8 +560,8 @@ class ReportRequest(Request["ReportFindings"]):
 
     def answer(self, run: "Run") -> "ReportFindings":
         from activefail.campaign.inquiry import Inquiry
+        from activefail.report.analyses import write_folder
         from activefail.report.evidence import ReportFindings, evidence_of
-        from activefail.report.folder import write_folder
         from activefail.report.fragility_section import risk_findings, risk_options
         from activefail.report.page import render
 

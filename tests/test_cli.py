@@ -585,7 +585,7 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
     assert (tmp_path / "out" / "comparison.md").exists()
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     # The same pictures would be drawn each time.
-    monkeypatch.setattr("activefail.report.folder.save_png_and_svg", lambda *drawn: [])
+    monkeypatch.setattr("activefail.report.analyses.save_png_and_svg", lambda *drawn: [])
     assert activefail(*words, "--out", tmp_path / "out") == CommandResult(0, result.out, "")
     shown = json.loads(activefail(*words, "--out", tmp_path / "out", "--json").out)
     assert shown["page"] == str(tmp_path / "out" / "comparison.md")

@@ -9,14 +9,13 @@ from scipy import stats
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
-from activefail.correlation import nataf_factor
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.space import Array, DesignSpace, radius
+from activefail.space import Array, DesignSpace, nataf_factor, radius
 
 # The same distributions by their own parameters, and as SciPy has them.
 OWN: dict[str, tuple[dict[str, float], Any]] = {

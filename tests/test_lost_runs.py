@@ -13,7 +13,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.probability import ProbabilityFindings
+from activefail.findings.estimates import ProbabilityFindings
 from activefail.findings.summary import where_lost
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current

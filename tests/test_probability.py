@@ -16,7 +16,7 @@ from scipy.stats import beta
 from activefail.errors import InputError
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
-from activefail.findings.probability import rounded_up, upper_bound
+from activefail.findings.estimates import rounded_up, upper_bound
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore

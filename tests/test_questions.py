@@ -15,7 +15,7 @@ from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page as explorer
-from activefail.findings.probability import bound_of_fresh
+from activefail.findings.estimates import bound_of_fresh
 from activefail.opening import open_run
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.verification.probability_estimator import Estimator

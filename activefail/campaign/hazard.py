@@ -14,11 +14,10 @@ from activefail.campaign.hazard_sections import HazardSettings, MagnitudeSection
 from activefail.campaign.pulse_table import read_pulses, velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question, asked_of, check_names, check_pulse
 from activefail.campaign.settings import checked, read_toml
-from activefail.correlation import correlation_of_values
 from activefail.distributions import moments, quantiles_at
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
-from activefail.space import REACH, Array, DesignSpace, radius
+from activefail.space import REACH, Array, DesignSpace, correlation_of_values, radius
 from activefail.weighted import BLOCKS, WeightedRows, weighted_quantiles
 
 FRICTION, CAPACITY = "mu", "D_tot"

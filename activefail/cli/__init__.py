@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 
-from activefail.cli.analyses import command_of
+from activefail.cli.analyses import command_of, explore
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program, with_verbosity
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
-from activefail.cli.explore import explore
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 from activefail.requests import (

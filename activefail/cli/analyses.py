@@ -1,10 +1,11 @@
 """The commands of the analyses, made from their requests: parse, ask, print."""
 
 import inspect
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -20,6 +21,7 @@ from activefail.cli.common import (
     print_json,
     show_stage,
     show_unseen,
+    show_warnings,
     table_output,
 )
 from activefail.cli.options import Parameters, parameters_of, sign
@@ -98,3 +100,35 @@ def _parameters(request: type[Request[Any]]) -> Parameters:
         if help:
             parameters |= parameters_of(name, Option(help, Path))
     return parameters | {"code": (Code, None)}
+
+
+def explore(
+    folder: RunFolder,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; visitors from other machines need a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
+    code: Code = None,
+) -> None:
+    """Serve an interactive page of a campaign.
+
+    By default only this machine can connect.
+    """
+    from activefail.explorer.answers import Answers
+    from activefail.explorer.server import ExplorerServer
+    from activefail.surrogate.threads import one_thread
+
+    with one_thread():
+        with opened_run(folder, code=code) as opened:
+            opened.learn(show_stage)
+            findings, failure = opened.findings, opened.failure(show_stage)
+            show_warnings(opened.store.new_warnings())
+            show_unseen(opened.summary)
+        server = ExplorerServer(host, port, Answers(findings, failure))
+        print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print("stopped", file=sys.stderr)
+        finally:
+            server.server_close()

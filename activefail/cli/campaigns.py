@@ -72,7 +72,7 @@ def campaigns(
 
     `activefail run NAME --out DIR` runs one.
     """
-    from activefail.campaign.shipped import copy_shipped, description_of, shipped_campaigns
+    from activefail.campaign.on_disk import copy_shipped, description_of, shipped_campaigns
 
     if copy is not None:
         for path in copy_shipped(copy):

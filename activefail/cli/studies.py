@@ -80,7 +80,7 @@ def compare(
     with the size of a static design that is as accurate. For a campaign file: compares campaigns and static designs
     over seeds, criteria and features; after an interruption, the same command continues.
     """
-    from activefail.campaign.shipped import campaign_file
+    from activefail.campaign.on_disk import campaign_file
 
     sizes = _parse_sizes("--static", static, least=2)
     if source.is_dir():

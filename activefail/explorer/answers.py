@@ -12,8 +12,8 @@ from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
 from activefail.explorer.questions import number, one_of
+from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_fragility
-from activefail.figures.marks import outcome_colour
 from activefail.figures.motion import (
     extent,
     plate_outline,
@@ -27,9 +27,8 @@ from activefail.figures.outcome_planes import plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.prediction import interval, predict
 from activefail.findings.quantities import plain, words
-from activefail.findings.results import Findings, at_the_boundary
+from activefail.findings.results import Findings, at_the_boundary, interval, predict
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace

@@ -17,8 +17,8 @@ from activefail.execution.local import local_executor
 from activefail.explorer.answers import Answer, Answers, Slider
 from activefail.explorer.questions import Reader, number, read
 from activefail.explorer.verification import STEPS, Verification
+from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_required_value
-from activefail.figures.marks import outcome_colour
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.progress import Begin

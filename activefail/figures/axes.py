@@ -1,16 +1,32 @@
-"""Panels, axes and legends that the figures share."""
+"""Panels, axes, legends, colours and markers of outcomes, and filled contours, which the figures share."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
 
-from activefail.figures.style import letters
+from activefail.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    OUTCOME_COLOURS,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    letters,
+)
+from activefail.findings.quantities import plain, words
+from activefail.space import Array
 
 
 def panel(width: float, height: float) -> tuple[Figure, Axes]:
@@ -66,3 +82,101 @@ def _columns(labels: Sequence[str], width: float) -> int:
         if sum(0.55 + 0.07 * max(part) for part in np.array_split(lengths, columns)) <= width:
             return columns
     return 1
+
+
+PROBABILITY_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+_PROBABILITY, _UNCERTAINTY = ("cividis", 0.6), ("Purples", 0.9)
+"""Colour map and opacity; pale enough for marks on probabilities, strong enough to show a small uncertainty."""
+
+NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
+"""Hatching where there is no design; plain white means no uncertainty."""
+
+
+def axis_limits(column: Array, share: float = 0.9) -> tuple[float, float]:
+    """The range of a share of a column, from its minimum; over the ratios' long tails the boundary would be tiny."""
+    low, high = np.quantile(column, [0.0, share])
+    return float(low), float(high) if high > low else float(low) + 1.0
+
+
+def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool = False) -> ScalarMappable:
+    """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN."""
+    colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
+    Z = np.ma.masked_invalid(Z)
+    # Rasterised: as outlines the shades would be most of a page.
+    shades = axes.contourf(x, y, Z, levels=np.linspace(0.0, 1.0, 11), cmap=colours, alpha=opacity)
+    shades.set_rasterized(True)
+    if Z.mask.any():
+        # Start at the last points that are designs, so that hatching and shades touch.
+        nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
+        nowhere.set(**NOWHERE, linewidth=0.0)
+    if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
+        axes.contour(x, y, Z, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=[0.6, 0.6, 1.7, 0.6, 0.6])
+    return ScalarMappable(shades.norm, shades.cmap)
+
+
+def colour_bar(
+    figure: Figure,
+    axes: Axes | Sequence[Axes],
+    shades: ScalarMappable,
+    title: str,
+    uncertainty: bool = False,
+    fraction: float = 0.15,
+) -> None:
+    """Add a colour bar to filled contours, on a fraction of their width; that of a probability names the lines."""
+    opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
+    ticks = np.linspace(0.0, 1.0, 6) if uncertainty else PROBABILITY_LEVELS
+    bar = figure.colorbar(shades, ax=axes, ticks=ticks, pad=0.01, fraction=fraction, alpha=opacity)
+    bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")
+
+
+_OTHER_COLOURS = (BLUE, ORANGE, VERMILION, PURPLE, GREEN, SKY_BLUE, BLACK)
+_MARKERS = "oD^sPvX"
+_MOST_MARKS = 500
+
+
+def outcome_colour(outcomes: Sequence[str], index: int) -> str:
+    """The colour of an outcome: fixed for the bearing's outcomes, otherwise from the palette by severity."""
+    if set(outcomes) <= OUTCOME_COLOURS.keys():
+        return OUTCOME_COLOURS[outcomes[index]]
+    if len(outcomes) == 2:
+        return (BLUE, VERMILION)[index]
+    return _OTHER_COLOURS[index % len(_OTHER_COLOURS)]
+
+
+def outcome_marker(outcomes: Sequence[str], index: int) -> str:
+    """The marker of an outcome; the more severe of two outcomes takes the third marker."""
+    return _MARKERS[(2 * index if len(outcomes) == 2 else index) % len(_MARKERS)]
+
+
+def scatter_outcomes(
+    axes: Axes, x: Array, y: Array, outcome: NDArray[np.int8], outcomes: Sequence[str], size: float
+) -> None:
+    """Scatter designs at (x, y), (n,) each, by outcome, the more severe on top; rasterised if there are many."""
+    for index in range(len(outcomes)):
+        rows = outcome == index
+        axes.scatter(
+            x[rows],
+            y[rows],
+            s=size,
+            c=outcome_colour(outcomes, index),
+            marker=outcome_marker(outcomes, index),
+            edgecolors="white",
+            linewidths=0.3,
+            zorder=3,
+            rasterized=len(x) > _MOST_MARKS,
+        )
+
+
+def outcome_handles(outcomes: Sequence[str], suffix: str = "") -> list[Line2D]:
+    """Legend entries, one per outcome."""
+    return [
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            color=outcome_colour(outcomes, index),
+            marker=outcome_marker(outcomes, index),
+            label=f"{plain(words(name))}{suffix}",
+        )
+        for index, name in enumerate(outcomes)
+    ]

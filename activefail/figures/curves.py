@@ -11,18 +11,9 @@ from activefail.comparison.equivalent import equivalent
 from activefail.comparison.seeds import STATIC, Point
 from activefail.comparison.static import Score, by_size
 from activefail.figures.axes import legend_outside, log_sizes, panel
-from activefail.figures.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    LINE_COLOURS,
-    LINE_MARKERS,
-    VERMILION,
-    fitting_size,
-    styled,
-)
-from activefail.findings.prediction import Prediction
+from activefail.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, VERMILION, fitting_size, styled
 from activefail.findings.quantities import Quantity
+from activefail.findings.results import Prediction
 from activefail.space import Array
 
 _LOGARITHMIC = 5

@@ -8,8 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from activefail.figures.axes import legend_outside, panel
-from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.axes import legend_outside, outcome_handles, panel, scatter_outcomes
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, SKY_BLUE, VERMILION, styled
 from activefail.findings.failure import FailureFindings
 from activefail.findings.quantities import Quantity, plain

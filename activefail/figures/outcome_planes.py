@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
-from activefail.figures.axes import legend_outside, panel
-from activefail.figures.contours import NOWHERE, axis_limits, colour_bar, filled_contours
-from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.axes import (
+    NOWHERE,
+    axis_limits,
+    colour_bar,
+    filled_contours,
+    legend_outside,
+    outcome_handles,
+    panel,
+    scatter_outcomes,
+)
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, fitting_size, letters, styled
-from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
-from activefail.findings.results import Findings
+from activefail.findings.results import Findings, Prediction, predict
 from activefail.space import Array
 
 GRID = 44

@@ -11,9 +11,14 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.figures.axes import legend_outside
-from activefail.figures.contours import axis_limits, colour_bar, filled_contours
-from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.axes import (
+    axis_limits,
+    colour_bar,
+    filled_contours,
+    legend_outside,
+    outcome_handles,
+    scatter_outcomes,
+)
 from activefail.figures.style import BLACK, GREY, styled
 from activefail.space import Array
 

@@ -10,8 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from activefail.figures.axes import legend_outside, panel
-from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
+from activefail.figures.axes import legend_outside, outcome_colour, outcome_handles, panel, scatter_outcomes
 from activefail.figures.style import BLACK, GREY, fitting_size, letters, styled
 from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array

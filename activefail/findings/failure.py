@@ -9,7 +9,7 @@ import numpy as np
 from activefail.acquisition.by_margin import SIZE
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
-from activefail.findings.probability import ProbabilityFindings, bound_without_model
+from activefail.findings.estimates import ProbabilityFindings, bound_without_model
 from activefail.loop.history import History
 from activefail.loop.initial import initial_size
 from activefail.loop.learning import Learned, learn_from

@@ -16,8 +16,8 @@ from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
+from activefail.verification.confidence_bounds import unseen_outcomes
 from activefail.verification.stored_sets import is_stored, set_name
-from activefail.verification.unseen import unseen_outcomes
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"

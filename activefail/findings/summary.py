@@ -20,8 +20,7 @@ from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, Schema
 from activefail.shares import percent
 from activefail.space import Array
-from activefail.verification.confidence_bounds import upper_bound
-from activefail.verification.unseen import unseen_outcomes
+from activefail.verification.confidence_bounds import unseen_outcomes, upper_bound
 from activefail.visible import visible
 
 _IDS_SHOWN = 20

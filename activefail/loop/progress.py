@@ -1,17 +1,19 @@
-"""Progress of a running campaign, as its observer sees it."""
+"""Progress of a running campaign, as its observer sees it: progress, and the faults of the executor."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
+from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN
-from activefail.simulators.interface import is_impossible
-from activefail.verification.unseen import unseen_outcomes
+from activefail.simulators.interface import Results, Simulator, is_impossible
+from activefail.space import Array
+from activefail.verification.confidence_bounds import unseen_outcomes
 
 if TYPE_CHECKING:
     from activefail.loop.probability_rule import Looks
@@ -81,3 +83,37 @@ def standing(campaign: Campaign, history: History, budget: int) -> Progress:
         numerical_failures=int((~history.answered & ~impossible & (history.origin != GIVEN)).sum()),
         unseen=unseen_outcomes(outcomes, counts),
     )
+
+
+@dataclass(frozen=True)
+class ObservedExecutor:
+    """An executor that also collects the faults of all its results. Its context remains the caller's.
+
+    Attributes:
+        executor: runs the simulations.
+        faults: receives the faults, in order of arrival.
+    """
+
+    executor: AsynchronousExecutor
+    faults: list[str]
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        """As `Executor.run`."""
+        return self._noted(self.executor.run(simulator, X, progress))
+
+    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
+        """As `AsynchronousExecutor.start`."""
+        self.executor.start(simulator, ticket, x)
+
+    def answered(self, seconds: float) -> list[tuple[int, Results]]:
+        """As `AsynchronousExecutor.answered`."""
+        return [(ticket, self._noted(results)) for ticket, results in self.executor.answered(seconds)]
+
+    def _noted(self, results: Results) -> Results:
+        self.faults.extend(results.faults.values())
+        return results
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...

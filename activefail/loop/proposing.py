@@ -19,7 +19,7 @@ from activefail.simulators.user_code import CRITERION_KEY
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
-from activefail.verification.unseen import unseen_outcomes
+from activefail.verification.confidence_bounds import unseen_outcomes
 
 WIDENING = 2.0
 """Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.

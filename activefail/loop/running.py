@@ -19,8 +19,7 @@ from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_size
 from activefail.loop.learning import Learned, accuracy, current, recall
-from activefail.loop.observed import ObservedExecutor
-from activefail.loop.progress import Observer, Progress, standing
+from activefail.loop.progress import ObservedExecutor, Observer, Progress, standing
 from activefail.loop.telling import record
 from activefail.record.asked import Asked
 from activefail.record.batch import CHECK, INITIAL

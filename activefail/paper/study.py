@@ -1,8 +1,7 @@
 """The paper's statistics over many draws of its design, as computed by `activefail paper`.
 
 A draw is a Latin hypercube of 250 simulations over Table 1, like the paper's. Every number of the paper becomes a
-distribution over draws, and accuracy is measured on fresh designs instead of about 62 held-out points.
-"""
+distribution over draws, and accuracy is measured on fresh designs instead of about 62 held-out points."""
 
 import math
 import os
@@ -20,12 +19,14 @@ from threadpoolctl import threadpool_limits
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
 from activefail.comparison.measures import expected_calibration_error, log_score, probability_of_truth
+from activefail.errors import InputError
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
+from activefail.loop.history import History
 from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
 from activefail.paper.published import tilted
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 from activefail.surrogate.fitting import fit, make_prior
 from activefail.surrogate.latent import Latent
 
@@ -431,3 +432,30 @@ def typical_process(study: Study) -> PaperProcess:
     center, spread = _paper_scaling()
     trained = train((F - center) / spread, failed, "laplace")
     return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))
+
+
+def variable_p_values(space: DesignSpace, history: History, severity: int) -> dict[str, float]:
+    """The p-values of the variables, by name, in a logistic regression of the initial design.
+
+    Only the initial design is a sample of the design space. The variables are standardised as for the classifier.
+
+    Args:
+        space: of the campaign.
+        history: its simulations.
+        severity: number of the outcome whose boundary it is.
+
+    Returns:
+        Empty if the regression has no maximum: one side has no simulation, or a plane separates the sides.
+    """
+    known = history[history.initial & history.answered]
+    beyond = known.outcome >= severity
+    if not beyond.any() or beyond.all():
+        return {}
+    try:
+        fit = logistic_regression(space.standardised(known.designs), beyond)
+    except InputError:
+        # Fewer simulations than variables.
+        return {}
+    if not (fit.converged and np.isfinite(fit.p_values).all()):
+        return {}
+    return dict(zip(space.names, fit.p_values.tolist(), strict=True))

@@ -21,8 +21,8 @@ from activefail.csv_table import Target, writing
 from activefail.figures.curves import plot_sampling_curves
 from activefail.files import writing_to
 from activefail.record.layout import SCORES
+from activefail.report.analyses import write_folder
 from activefail.report.environment import markdown_environment
-from activefail.report.folder import write_folder
 
 MEASURES = {
     "accuracy": "accuracy",

@@ -8,8 +8,8 @@ from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.figures.svg import inline
 from activefail.findings import quantities
+from activefail.findings.estimates import rounded_up
 from activefail.findings.failure import FailureFindings
-from activefail.findings.probability import rounded_up
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import boundary_of

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
-from activefail.figures.design import marks_of_stored, plot_required
-from activefail.figures.fragility import plot_fragility_findings
+from activefail.figures.risk import marks_of_stored, plot_fragility_findings, plot_required
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, by_name
-from activefail.report.fragility import curves_shown
+from activefail.report.analyses import curves_shown
 from activefail.risk.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.stored import StoredDesign, stored_designs

@@ -18,19 +18,17 @@ from activefail.comparison.static import given_in_words, median_score
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
+from activefail.figures.classifier import LONG, length_scales, plot_length_scales, plot_reliability
 from activefail.figures.curves import plot_learning_curves
-from activefail.figures.length_scales import LONG, length_scales, plot_length_scales
 from activefail.figures.motion import plot_snapshots
 from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
 from activefail.figures.paper_planes import PLANES
-from activefail.figures.reliability import plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.prediction import information
 from activefail.findings.quantities import significant, words
-from activefail.findings.results import Findings, at_the_boundary
+from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
 from activefail.parameter import Parameter

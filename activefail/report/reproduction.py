@@ -12,8 +12,8 @@ from scipy.stats import binomtest
 from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.features import PAPER_FEATURES
+from activefail.figures.classifier import plot_reliability
 from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
-from activefail.figures.reliability import plot_reliability
 from activefail.files import writing_to
 from activefail.paper import claims, published
 from activefail.paper import study as paper
@@ -21,8 +21,8 @@ from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_wi
 from activefail.paper.methods import LENGTH_SCALE
 from activefail.paper.published import Table2Row
 from activefail.paper.study import METHODS, Draw, Study, Variant
+from activefail.report.analyses import write_folder
 from activefail.report.environment import markdown_environment
-from activefail.report.folder import write_folder
 from activefail.sample_mean import Estimate, contains
 from activefail.space import Array
 

@@ -1,8 +1,10 @@
 """Confidence bounds by beta distributions: on a share from strata, and on the probability of an unseen event."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.space import Array
 
@@ -104,3 +106,13 @@ def upper_bound(hits: int, draws: int, confidence: float) -> float:
     from scipy.stats import beta
 
     return float(beta.ppf(confidence, hits + 1, draws - hits))
+
+
+def unseen_outcomes(outcomes: Sequence[str], counts: NDArray[np.int64]) -> tuple[str, ...]:
+    """The outcomes without a simulation, in order of severity.
+
+    Args:
+        outcomes: names of all outcomes.
+        counts: (number of outcomes,) simulations by outcome; further entries are ignored.
+    """
+    return tuple(name for name, count in zip(outcomes, counts, strict=False) if not count)

@@ -7,8 +7,7 @@ import pytest
 from commandline import activefail, refused
 
 from activefail import create_run
-from activefail.campaign.on_disk import read_campaign
-from activefail.campaign.shipped import campaign_file, copy_shipped, shipped_campaigns, shipped_folder
+from activefail.campaign.on_disk import campaign_file, copy_shipped, read_campaign, shipped_campaigns, shipped_folder
 from activefail.errors import InputError
 
 NAMES = ["bearing", "building", "building_records", "opensees", "paper", "quick", "records"]

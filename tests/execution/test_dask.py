@@ -27,7 +27,7 @@ from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
-from activefail.risk.ida import kept
+from activefail.risk.ida import simulations as ida_simulations
 from activefail.risk.ida.capacity import Answers
 from activefail.risk.ida.simulations import CampaignSubject
 from activefail.simulators.function import PythonSimulator
@@ -399,7 +399,7 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
     words = ("ida", "--records", "set", "--unit", "m/s2", "--dt", "0.01", "--bearing", "mass.toml")
     words = (*words, "--simulator", "plate.toml", "--out")
     assert activefail(*words, "whole", "--workers", "1").code == 0
-    monkeypatch.setattr(kept, "_PART", 10)
+    monkeypatch.setattr(ida_simulations, "_PART", 10)
     here, parts = CampaignSubject.simulate, iter(range(2))
 
     def stopping(self: CampaignSubject, *about) -> Answers:

@@ -15,7 +15,7 @@ from activefail.bearing import Bearing, Pulse, simulate_one
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer.server import page
-from activefail.findings.prediction import predict
+from activefail.findings.results import predict
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from activefail.figures.design import Mark, plot_required
+from activefail.figures.risk import Mark, plot_required
 from activefail.findings.quantities import custom_quantity, quantity
 from activefail.risk.design.required_chart import RequiredChart
 

@@ -25,7 +25,7 @@ from activefail.comparison.static import Recall, Score, remember_scores
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import curves, outcome_planes, samples, svg
-from activefail.figures.marks import outcome_colour
+from activefail.figures.axes import outcome_colour
 from activefail.findings import quantities
 from activefail.findings.results import findings_of
 from activefail.loop.learning import current

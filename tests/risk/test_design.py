@@ -21,7 +21,7 @@ from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import AllRows
 from activefail.reliability.strata import StratifiedPlan, plan_strata
-from activefail.report.design import render_design
+from activefail.report.analyses import render_design
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
 from activefail.risk.design.findings import DesignFindings

@@ -27,9 +27,8 @@ from activefail.risk.ida.capacity import Agreement, Answers, Capacities, Runs, c
 from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
-from activefail.risk.ida.kept import Kept
 from activefail.risk.ida.p695 import MarginOptions
-from activefail.risk.ida.simulations import BearingSubject
+from activefail.risk.ida.simulations import BearingSubject, Kept
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 SUBJECT = BearingSubject(BEARING, Model(), Tolerance())

@@ -16,7 +16,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.inquiry import Inquiry
 from activefail.loop.history import History
-from activefail.paper.p_values import variable_p_values
+from activefail.paper.study import variable_p_values
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.sensitivity import calculation as module
 from activefail.risk.sensitivity.calculation import default_samples, sensitivity

@@ -5,7 +5,7 @@ import numpy as np
 from activefail import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
-from activefail.findings.prediction import predict
+from activefail.findings.results import predict
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
 from activefail.reliability.integral import BoundariesOf, integrate

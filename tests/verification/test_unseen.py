@@ -21,7 +21,7 @@ from activefail.loop.running import run
 from activefail.opening import create_run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.verification.unseen import unseen_outcomes
+from activefail.verification.confidence_bounds import unseen_outcomes
 
 
 class FourBranch:

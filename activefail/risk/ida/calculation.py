@@ -24,9 +24,8 @@ from activefail.risk.ida.equivalent_pulse import (
 )
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.kept import Kept
 from activefail.risk.ida.p695 import MarginRequest
-from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, digest_of
+from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, Kept, digest_of
 
 if TYPE_CHECKING:
     from activefail.run import Run

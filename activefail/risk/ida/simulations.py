@@ -1,6 +1,7 @@
 """What is analysed under records scaled to levels: a bearing by its model, or what a campaign simulates."""
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,18 +14,20 @@ from activefail.bearing.design import TABLE_1, Bearing, Model, Tolerance, outsid
 from activefail.bearing.outcome import CAUSES, OUTCOMES
 from activefail.bearing.simulation import simulate_records
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.on_disk import read_campaign
+from activefail.campaign.on_disk import campaign_file, read_campaign
 from activefail.campaign.question import values_of
-from activefail.campaign.shipped import campaign_file
 from activefail.errors import InputError, SimulationError, naming
-from activefail.risk.ida.capacity import Answers, Runs
+from activefail.files import replacing, writing_to
+from activefail.risk.ida.capacity import Answers, Runs, Simulate
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
+from activefail.trust import read_regular
 from activefail.verification.stored_sets import first_fault_text
 from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.execution.executor import Executor
+
 
 RECORD, VELOCITY = "record", "PGV"
 """Variables of a campaign under records: the record, whose whole part counts from 0, and the PGV after scaling."""
@@ -215,3 +218,62 @@ def digest_of(records: Sequence[Accelerogram]) -> str:
         sizes = [one.dt, len(one.acceleration), len(vertical)]
         digest.update(np.concatenate([sizes, one.acceleration, vertical]).tobytes())
     return digest.hexdigest()
+
+
+_PART = 100
+"""Simulations after which the file is written: an interruption loses fewer."""
+
+_LARGEST_FILE = 100_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Simulations whose outcomes are kept in a JSON file: record, level, outcome, and whether a plate lifted off.
+
+    Numerical failures are not kept: they may have been those of a machine. A damaged file is replaced.
+    """
+
+    simulate: Simulate  # makes the simulations that the file lacks
+    file: Path  # the file
+    progress: Callable[[int], None]  # called with the number of simulations that were kept
+
+    @classmethod
+    def of(
+        cls, simulate: Simulate, folder: Path, identity: Mapping[str, Any], progress: Callable[[int], None]
+    ) -> "Kept":
+        """The simulations of an analysis; those of another have another file.
+
+        Args:
+            simulate, progress: see `Kept`.
+            folder: of the files.
+            identity: all that the outcomes depend on, besides record and level, as JSON values.
+        """
+        digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+        return cls(simulate, folder / f"simulations-{digest[:12]}.json", progress)
+
+    def __call__(self, runs: Runs) -> Answers:
+        """The outcomes of records at levels.
+
+        Raises:
+            InputError: if the file cannot be written.
+        """
+        known = self.read()
+        missing = [one for one in runs if one not in known]
+        self.progress(len(runs) - len(missing))
+        for first in range(0, len(missing), _PART):
+            part = missing[first : first + _PART]
+            answers = self.simulate(part)
+            known |= zip(part, zip(answers.outcome.tolist(), answers.lifted.tolist(), strict=True), strict=True)
+            rows = [(*one, *answer) for one, answer in sorted(known.items()) if answer[0] != NUMERICAL_FAILURE]
+            with writing_to(self.file), replacing(self.file) as file:
+                json.dump(rows, file)
+        outcome, lifted = zip(*(known[one] for one in runs), strict=True)
+        return Answers(np.array(outcome, dtype=np.int8), np.array(lifted, dtype=bool))
+
+    def read(self) -> dict[tuple[int, float], tuple[int, bool]]:
+        """The kept outcomes by record and level; none if the file is missing or damaged."""
+        try:
+            rows = json.loads(read_regular(self.file, _LARGEST_FILE, follow=True))
+            return {(k, level): (outcome, lifted) for k, level, outcome, lifted in rows}
+        except (OSError, ValueError, TypeError):
+            return {}

@@ -1,4 +1,4 @@
-"""What a campaign knows of the probability of an outcome, with what is assumed."""
+"""What a campaign knows of the classifier's error and of an outcome's probability, with what is assumed."""
 
 import math
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES
 from activefail.verification.confidence_bounds import upper_bound
+from activefail.verification.error import ErrorEstimate
 from activefail.visible import or_worse, visible
 
 BOUND_CONFIDENCE = 0.9
@@ -343,3 +344,43 @@ class ProbabilityFindings:
             "outside_bounds": self.outside,
             "assumptions": self.assumptions,
         }
+
+
+@dataclass(frozen=True)
+class ErrorFindings:
+    """The share of the design space that the classifier gets wrong.
+
+    Attributes:
+        estimate: of the error, with its interval.
+        boundary: outcome of the target boundary.
+        learned: simulations of the campaign, without fresh ones.
+        iteration: of the classifier.
+    """
+
+    estimate: ErrorEstimate
+    boundary: str
+    learned: int
+    iteration: int
+
+    exit_code = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        one = self.estimate
+        rows = [
+            ("campaign", f"{self.learned} simulations, iteration {self.iteration}"),
+            ("error", f"{one.text} of the design space on the wrong side of the boundary of {self.boundary}"),
+            (
+                "",
+                f"{100 * one.confidence:g} % interval from {one.in_words}, {one.wrong} of them misclassified; the "
+                "error is their weighted share",
+            ),
+            ("expected", f"{percent(one.expected, 2)} by the classifier's own probabilities, without an interval"),
+        ]
+        return titled(rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
+        return {"boundary": self.boundary, **self.estimate.as_json(), **of_campaign}
