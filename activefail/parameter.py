@@ -1,13 +1,15 @@
 """One variable of the design space: its name, range, distribution and unit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from functools import cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.distributions import BOUNDED, Distribution, frozen, in_words, parameters_fault
+from activefail.distributions import BOUNDED, POSITIVE, Distribution, frozen, in_words, parameters_fault
 from activefail.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,6 +50,27 @@ def distribution_fault(
     return ""
 
 
+_MOST_VALUES = 10_000
+"""Most values of a variable with a step."""
+
+_ON_GRID = 1e-9
+"""Largest distance of a value from that of a variable with a step, in steps: a table may have rounded it."""
+
+
+def step_fault(low: float, high: float, step: float, distribution: Distribution) -> str:
+    """Why bounds and a step do not define the values of a variable; empty if they do."""
+    if not (np.isfinite(step) and step > 0.0):
+        return f"`step > 0` must hold, got {step}"
+    steps = (Decimal(repr(high)) - Decimal(repr(low))) / Decimal(repr(step))
+    if steps % 1 or steps < 1:
+        return f"`high - low` must be a multiple of `step`, got {low:g} to {high:g} in steps of {step:g}"
+    if steps >= _MOST_VALUES:
+        return f"`step` must leave at most {_MOST_VALUES} values, got {int(steps) + 1}"
+    if distribution == "log_uniform" and low <= 0.5 * step:
+        return f"`low > step / 2` must hold for a log-uniform distribution, got {low:g} and {step:g}"
+    return ""
+
+
 def _masses(
     distribution: Distribution, low: float, high: float, mean: float, sd: float | None
 ) -> tuple[float, float, float]:
@@ -80,6 +103,10 @@ class Parameter:
 
     Its distribution is the named one conditional on these bounds.
 
+    With a step, the values are low, low + step, ..., high. Each has the probability of all values that are rounded to
+    it: of the named distribution between half a step below `low` and half a step above `high`, or of a beta
+    distribution between the bounds.
+
     Attributes:
         name: an identifier.
         low, high: bounds, in the unit.
@@ -87,6 +114,7 @@ class Parameter:
         distribution: name of the distribution.
         mean, sd: mean and standard deviation of the unbounded distribution, or of a beta distribution; None for uniform
             and log-uniform variables. The sd of an exponential variable is None.
+        step: distance of the values, in the unit; None if the variable is continuous.
 
     Raises:
         InputError: if the name is not an identifier or the numbers do not define a distribution.
@@ -99,13 +127,59 @@ class Parameter:
     distribution: Distribution = "uniform"
     mean: float | None = None
     sd: float | None = None
+    step: float | None = field(default=None, repr=False)  # questions are identified by what is shown of variables
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise InputError(f"A variable's name must be an identifier, got {self.name!r}.")
         fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
+        if not fault and self.step is not None:
+            fault = step_fault(self.low, self.high, self.step, self.distribution)
         if fault:
             raise InputError(f"The variable {self.name!r}: {fault}.")
+
+    @cached_property
+    def values(self) -> Array:
+        """The values of a variable with a step, as decimal numbers are written; empty if it is continuous."""
+        if self.step is None:
+            return np.empty(0)
+        low, high, step = (Decimal(repr(number)) for number in (self.low, self.high, self.step))
+        return np.array([float(low + k * step) for k in range(int((high - low) / step) + 1)])
+
+    @cached_property
+    def continuous(self) -> "Parameter":
+        """The variable before it is rounded to its step; itself without one."""
+        if self.step is None:
+            return self
+        if self.distribution == "beta":
+            return replace(self, step=None)
+        low, high = self.low - 0.5 * self.step, self.high + 0.5 * self.step
+        return replace(self, low=max(low, 0.0) if self.distribution in POSITIVE else low, high=high, step=None)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all values are whole numbers."""
+        return self.step is not None and float(self.low).is_integer() and float(self.step).is_integer()
+
+    def rounded(self, x: Array | float) -> Array:
+        """Values of any shape, each as the nearest value of the variable; unchanged if it is continuous."""
+        if self.step is None:
+            return np.asarray(x)
+        place = np.rint((np.asarray(x) - self.low) / self.step)
+        return np.asarray(self.values[np.clip(place, 0, len(self.values) - 1).astype(int)])
+
+    def contains(self, x: Array | float) -> NDArray[np.bool_]:
+        """Which values of any shape the variable can have."""
+        inside = (self.low <= x) & (x <= self.high)
+        if self.step is not None:
+            inside &= np.abs(x - self.rounded(x)) <= _ON_GRID * self.step
+        return np.asarray(inside)
+
+    @property
+    def rule(self) -> str:
+        """Which values the variable can have, for messages."""
+        steps = "" if self.step is None else f" in steps of {self.step:g}"
+        return f"`{self.low:g} <= {self.name} <= {self.high:g}`{steps}"
 
     @property
     def _moments(self) -> tuple[float, float]:
@@ -125,12 +199,14 @@ class Parameter:
         """The probability of the unbounded distribution outside the bounds; 0 for a distribution that has bounds."""
         if self.distribution in BOUNDED:
             return 0.0
-        below, _, above = self._masses()
+        below, _, above = self.continuous._masses()
         return below + above
 
     def quantile(self, u: Array | float) -> Array:
         """Quantiles of the distribution at probabilities u of any shape."""
         u = np.asarray(u)
+        if self.step is not None:
+            return self.rounded(self.continuous.quantile(u))
         match self.distribution:
             case "uniform":
                 return np.asarray(self.low + u * (self.high - self.low))
@@ -145,10 +221,17 @@ class Parameter:
                 return self._between(u, 1.0 - u)
 
     def share(self, x: Array) -> Array:
-        """The distribution function at values x of any shape, the inverse of `quantile`."""
+        """The distribution function at values x of any shape, the inverse of `quantile`.
+
+        With a step, the middle of the probabilities that are rounded to x.
+        """
+        if self.step is not None:
+            of, half = self.continuous, 0.5 * self.step
+            ends = [of.share(np.clip(np.asarray(x) + side, of.low, of.high)) for side in (-half, half)]
+            return np.asarray(0.5 * (ends[0] + ends[1]))
         match self.distribution:
             case "uniform":
-                return (x - self.low) / (self.high - self.low)
+                return np.asarray((x - self.low) / (self.high - self.low))
             case "log_uniform":
                 return np.asarray(np.log(x / self.low) / np.log(self.high / self.low))
             case "truncated_normal":
@@ -171,6 +254,8 @@ class Parameter:
         """The variable's values at standard normal values z of any shape: F⁻¹(Φ(z)), accurate in both tails."""
         from scipy.special import ndtr
 
+        if self.step is not None:
+            return self.rounded(self.continuous.from_normal(z))
         if self.distribution in ("uniform", "log_uniform"):
             return self.quantile(ndtr(z))
         return self._between(ndtr(z), ndtr(-z))
@@ -180,7 +265,7 @@ class Parameter:
 
         They are finite at the bounds too.
         """
-        if self.distribution in ("uniform", "log_uniform"):
+        if self.step is not None or self.distribution in ("uniform", "log_uniform"):
             u = self.share(x)
             return _normal_quantile(u, 1.0 - u)
         below, mass, above = self._masses()
@@ -193,6 +278,8 @@ class Parameter:
         The middle of a truncated normal is its mean before truncation. A log-uniform variable enters as its logarithm,
         and a variable whose bounds are left out as its standard normal value.
         """
+        if self.step is not None:
+            return self.continuous.standardised(x)
         if self.distribution in ("truncated_normal", "normal"):
             mean, sd = self._moments
             return np.asarray((x - mean) / sd)
@@ -209,6 +296,8 @@ class Parameter:
             x: values.
             factor: factor of the standard deviation.
         """
+        if self.step is not None:
+            return self.rounded(self.continuous.widened(x, factor))
         if self.distribution in ("truncated_normal", "normal"):
             mean, _ = self._moments
             return np.asarray(np.clip(mean + factor * (x - mean), self.low, self.high))

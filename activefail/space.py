@@ -1,5 +1,6 @@
 """The design space: named variables with their joint distribution, and samples of it."""
 
+import math
 import signal
 import threading
 from collections import Counter
@@ -20,6 +21,9 @@ Array = NDArray[np.float64]
 LEAST_SHARE = 2.0**-53
 """Least distance from a face of the unit cube at which standard normal values are taken."""
 
+
+_ROUNDS = 100
+"""Most attempts to replace repeated designs of a Latin hypercube."""
 
 REACH = 1e-8
 """Probability outside the ball in standard normal space in which failure is searched and integrated."""
@@ -175,14 +179,36 @@ class DesignSpace:
         return np.stack(columns, axis=1)
 
     def contains(self, X: Array) -> NDArray[np.bool_]:
-        """Which rows of X, shape (n, d), lie in the box; shape (n,)."""
-        return np.asarray(np.all((self.low <= X) & (self.high >= X), axis=1))
+        """Which rows of X, shape (n, d), are designs of this space; shape (n,)."""
+        contained = [p.contains(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
+        return np.asarray(np.all(contained, axis=0))
+
+    def columns(self, X: Array) -> dict[str, NDArray[Any]]:
+        """The variables of designs, (n, d), by name, (n,) each; whole numbers are integers."""
+        return {
+            p.name: x.astype(np.int64) if p.is_whole else x
+            for p, x in zip(self.parameters, np.reshape(X, (-1, self.dimension)).T, strict=True)
+        }
+
+    @property
+    def designs(self) -> float:
+        """Number of designs; infinite if a variable is continuous."""
+        return math.prod(len(parameter.values) or math.inf for parameter in self.parameters)
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
-        """A Latin hypercube of n designs, shape (n, d) ([McKayEtAl1979]; scipy.stats.qmc)."""
+        """A Latin hypercube of n designs, shape (n, d) ([McKayEtAl1979]; scipy.stats.qmc).
+
+        Where all variables have a step, other designs take the place of repeated ones as long as there are any.
+        """
         from scipy.stats import qmc
 
-        return self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))
+        X = self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))
+        for _ in range(_ROUNDS):
+            again = np.delete(np.arange(n), np.unique(X, axis=0, return_index=True)[1])
+            if self.designs == math.inf or not len(again):
+                break
+            X[again] = self.from_unit(rng.random((len(again), self.dimension)))
+        return X
 
     def sobol(self, n: int, rng: np.random.Generator) -> Array:
         """n designs of a scrambled Sobol' sequence, shape (n, d); n is a power of two."""
@@ -223,10 +249,12 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
     The joint distribution is a Gaussian copula with the variables' own distributions (the Nataf transformation). The
     copula's coefficient ρ₀ of a pair follows from the coefficient ρ of their values: ρ is the covariance of F₁⁻¹(Φ(z₁))
     and F₂⁻¹(Φ(ρ₀ z₁ + √(1 − ρ₀²) z₂)) divided by both standard deviations [LiuDerKiureghian1986, eq. 12].
+    Values are those before they are rounded to a step.
 
     Raises:
         InputError: naming the entry of `correlation`.
     """
+    parameters = [parameter.continuous for parameter in parameters]
     names = [parameter.name for parameter in parameters]
     R, pairs = np.eye(len(names)), list[set[str]]()
     for number, (one, other, rho) in enumerate(correlation):

@@ -157,6 +157,7 @@ def propose(
     def certain(F: Array) -> Tensor | None:
         return None if answers is None else torch.from_numpy(answers(F))
 
+    seen = np.concatenate([latent.features, *map(scaled, known)])
     if by_margin:
         X, references, make = candidates_by_margin(model, features, space, q, rng)
         F, block = scaled(X), None
@@ -165,9 +166,10 @@ def propose(
         X, F = _candidates_by_bald(model, scaled, sample, certain)
         references, make, block = torch.from_numpy(scaled(sample(criterion.references))), criterion.make, LAZY_BLOCK
     else:
-        seen = [latent.features, *(scaled(X) for X in known)]
-        X, F = _candidates_by_search(model, scaled, sample, criterion.make, q, np.concatenate(seen), failed, certain)
+        X, F = _candidates_by_search(model, scaled, sample, criterion.make, q, seen, failed, certain)
         references, make, block = torch.empty(0, F.shape[1], dtype=torch.float64), criterion.make, None
+    if space.designs < np.inf and len(new := new_rows(X, F, seen, failed)):
+        X, F = X[new], F[new]
     candidates = torch.from_numpy(F)
     with keeping(model, candidates, references):
         make_here = partial(_with_references, make, references)

@@ -119,7 +119,7 @@ class Inquiry:
 def _middles(space: DesignSpace, names: Collection[str]) -> dict[str, float]:
     """The middles of the ranges of variables, without those of a pulse and without names that are unknown."""
     return {
-        one.name: 0.5 * (one.low + one.high)
+        one.name: float(one.rounded(0.5 * (one.low + one.high)))
         for one in space.parameters
         if one.name in names and one.name not in (PERIOD, AMPLITUDE)
     }

@@ -265,6 +265,9 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (is_number and -LARGEST <= value <= LARGEST):
             raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
+        one = space.parameters[space.names.index(name)]
+        if one.step is not None and not one.contains(value):
+            raise InputError(f"{name}: {one.rule} must hold, got {value:g}.")
     return {name: float(value) for name, value in given.items()}
 
 
@@ -375,7 +378,7 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     }
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(section.reach, unbounded) if unbounded else np.inf
-    changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
+    changed = {name: _in_steps(entry.parameter(name, distance), space) for name, entry in entries.items()}
     if PGV in section.space and PGV not in space.names:
         median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
         if median > LARGEST_MEDIAN:
@@ -383,6 +386,23 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
                 f"space.{PGV}: its median must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?"
             )
     return asked_of(section.description or title, space, changed, fixed, section.correlation)
+
+
+def _in_steps(parameter: Parameter, space: DesignSpace) -> Parameter:
+    """A variable of a question with the campaign's step, and with bounds among its values, the next ones outwards.
+
+    Raises:
+        InputError: if it has another step.
+    """
+    own = next((one for one in space.parameters if one.name == parameter.name), None)
+    if own is None or (own.step is None and parameter.step is None):
+        return parameter
+    if own.step is None or parameter.step not in (None, own.step):
+        stated = "left out" if own.step is None else f"{own.step:g}"
+        raise InputError(f"space.{parameter.name}.step: must be {stated}, as in the campaign, got {parameter.step:g}.")
+    low = own.rounded(max(parameter.low, own.low)).item()
+    high = own.rounded(min(parameter.high, own.high)).item()
+    return replace(parameter, low=low, high=high, step=own.step)
 
 
 def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpace) -> None:

@@ -67,9 +67,8 @@ class ResultTable:
         designs = _designs(campaign, table)
         for row, design in enumerate(designs.tolist()):
             for parameter, value in zip(campaign.space.parameters, design, strict=True):
-                if not parameter.low <= value <= parameter.high:
-                    rule = f"`{parameter.low:g} <= {parameter.name} <= {parameter.high:g}` must hold"
-                    raise table.broken(row, parameter.name, rule, value)
+                if not parameter.contains(value):
+                    raise table.broken(row, parameter.name, f"{parameter.rule} must hold", value)
         none = np.empty(0, dtype=np.int64)
         return cls(table, none, designs, _results(campaign, table))
 

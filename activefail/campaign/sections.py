@@ -20,7 +20,7 @@ from pydantic import (
 from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.names import Criterion, FeatureSet, Kernel
-from activefail.parameter import Parameter, distribution_fault
+from activefail.parameter import Parameter, distribution_fault, step_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
 
 _SHOWN = 200
@@ -58,6 +58,8 @@ class Variable(Section):
         low: lower bound, in the unit of the variable. It truncates a distribution that needs no bounds.
         high: upper bound, likewise.
         unit: unit as text, for tables and figures; nothing is converted.
+        step: distance of the values low, low + step, ..., high of a variable that is not continuous, such as 1 for a
+            whole number. Each has the probability of all values that are rounded to it.
         distribution: name of the distribution.
         mean: mean, before truncation.
         sd: standard deviation, before truncation.
@@ -75,6 +77,7 @@ class Variable(Section):
     low: float | None = None
     high: float | None = None
     unit: str = ""
+    step: float | None = None
     distribution: Distribution = "uniform"
     mean: float | None = None
     sd: float | None = None
@@ -97,6 +100,12 @@ class Variable(Section):
         if max(-low, high) > LARGEST:
             raise ValueError(f"the range must lie between {-LARGEST:g} and {LARGEST:g}, got {low:g} to {high:g}")
         if fault := distribution_fault(low, high, self.distribution, mean, sd):
+            raise ValueError(fault)
+        if self.step is None:
+            return self
+        if not self.is_bounded:
+            raise ValueError("a variable with a `step` requires `low` and `high`")
+        if fault := step_fault(low, high, self.step, self.distribution):
             raise ValueError(fault)
         return self
 
@@ -131,7 +140,7 @@ class Variable(Section):
             distance: where bounds lie that the file leaves out, in standard deviations of a normal variable.
         """
         low, high, mean, sd = self._numbers(distance)
-        return Parameter(name, low, high, self.unit, self.distribution, mean, sd)
+        return Parameter(name, low, high, self.unit, self.distribution, mean, sd, self.step)
 
 
 class FixedVariable(Section):

@@ -55,6 +55,7 @@ class Slider(NamedTuple):
         meaning: a few words.
         low, high: its range.
         start: where it stands at first.
+        step: distance of the values, if there are none between them.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Slider(NamedTuple):
     low: float
     high: float
     start: float
+    step: float | None = None
 
 
 def _listed(values: Array, digits: int) -> list[Any]:
@@ -91,7 +93,7 @@ class Answers:
         self.quantities = quantities.variables(findings.campaign)
         middle = middle_of(self.space)
         self.sliders = tuple(
-            Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start)
+            Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start, p.step)
             for p, of, start in zip(self.space.parameters, self.quantities, middle, strict=True)
         )
         # Compile and load everything before the first request.
@@ -112,7 +114,8 @@ class Answers:
         """
         if not isinstance(values, list) or len(values) != self.space.dimension:
             raise InputError(f"{name}: must be a list of {self.space.dimension} numbers, got {values!r}.")
-        return [number(one.low, one.high)(one.name, x) for one, x in zip(self.space.parameters, values, strict=True)]
+        values = [number(one.low, one.high)(one.name, x) for one, x in zip(self.space.parameters, values, strict=True)]
+        return [float(one.rounded(x)) for one, x in zip(self.space.parameters, values, strict=True)]
 
     def variable(self, name: str, value: Any) -> int:
         """Read the name of a variable in a question; its column.

@@ -55,6 +55,8 @@ export function sliders(quantities, values, moved) {
   }
 
   function set(i, value) {
+    const { low, step } = quantities[i];
+    if (step) value = Number((low + Math.round((value - low) / step) * step).toPrecision(12));
     values[i] = Math.min(quantities[i].high, Math.max(quantities[i].low, value));
   }
 
@@ -77,6 +79,7 @@ export function sliders(quantities, values, moved) {
   }
 
   quantities.forEach((v, i) => {
+    if (v.step) find(`v${i}`).step = (STEPS * v.step) / (v.high - v.low);
     find(`v${i}`).addEventListener("input", (event) => {
       setComputed(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
       moved([i]);

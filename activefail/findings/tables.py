@@ -38,7 +38,7 @@ def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
     import pandas as pd
 
     columns: dict[str, Any] = {"id": asked.id}
-    columns |= dict(zip(campaign.space.names, asked.designs.T, strict=True))
+    columns |= campaign.space.columns(asked.designs)
     columns |= {name: np.full(len(asked), value) for name, value in campaign.space.fixed.items()}
     return pd.DataFrame(columns)
 
@@ -54,7 +54,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     history, space = History.of(store.batches), campaign.space
     columns: dict[str, Any] = {"id": history.id, "iteration": history.iteration}
     columns["origin"] = [_ORIGINS[origin] for origin in history.origin.tolist()]
-    columns |= dict(zip(space.names, history.designs.reshape(len(history), space.dimension).T, strict=True))
+    columns |= space.columns(history.designs)
     columns |= _result_columns(campaign, history)
     columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
     return pd.DataFrame(columns)
@@ -97,7 +97,7 @@ def predictions_frame(
     import pandas as pd
 
     values = _predicted_values(campaign, classifier, X)
-    columns = dict(zip(campaign.space.names, X.T, strict=True))
+    columns: dict[str, Any] = campaign.space.columns(X)
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
 
 

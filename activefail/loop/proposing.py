@@ -29,6 +29,9 @@ The design measure alone gives hardly any candidates near a rare failure."""
 _ATTEMPTS = 5
 """Most proposals in place of designs that were handed out or simulated before."""
 
+_LEFT = 2**14
+"""Points among which the last designs of a space are sought in which all variables have steps."""
+
 _LATER = 10**9
 """Keeps the random streams of repeated proposals apart from those of later ones."""
 
@@ -79,6 +82,12 @@ def propose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int,
         designs = np.concatenate([designs, proposed[~are_among(proposed, known)]])
         if len(designs) == n:
             break
+    if len(designs) < n and campaign.space.designs < np.inf:
+        # Few designs are left, which no search may have met.
+        known = np.concatenate([history.designs, asked.designs, designs])
+        others = np.unique(campaign.space.sobol(_LEFT, rng), axis=0)
+        others = rng.permutation(others[~are_among(others, known)])
+        designs = np.concatenate([designs, others[: n - len(designs)]])
     return Chosen(designs, ACTIVE)
 
 

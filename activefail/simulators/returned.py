@@ -10,7 +10,8 @@ from activefail.space import Array, DesignSpace
 
 def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, float]]:
     """One dictionary per design, (n, d): values of the variables and the fixed quantities."""
-    return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in np.asarray(X).tolist()]
+    columns = [column.tolist() for column in space.columns(X).values()]
+    return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in zip(*columns, strict=True)]
 
 
 def read_answer(

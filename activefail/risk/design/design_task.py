@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
 from activefail.expressions import parse_expression
+from activefail.parameter import Parameter
 from activefail.risk.classifier_probability import POINTS
 from activefail.space import Array
 from activefail.visible import visible
@@ -92,6 +93,7 @@ class DesignTask:
         confidence: one-sided, that the probabilities meet their targets.
         simulations: most fresh simulations for each requirement.
         rate: how often the question's pulses occur, if the targets were risks in a number of years.
+        stepped: by name, the free variables with a step.
     """
 
     asked: Inquiry
@@ -103,6 +105,7 @@ class DesignTask:
     confidence: float
     simulations: int
     rate: Rate | None = None
+    stepped: Mapping[str, Parameter] = field(default_factory=dict)
 
     @property
     def question(self) -> Question:
@@ -231,7 +234,8 @@ def design_task(
     price, text = _cost(cost, names, {**space.fixed, **question.fixed})
     for side in (low, high):
         price(side)
-    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate)
+    stepped = {name: ranges[name] for name in names if ranges[name].step is not None}
+    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, stepped)
 
 
 def _cost(

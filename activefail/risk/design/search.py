@@ -286,7 +286,8 @@ def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
 
     def price(u: Array) -> float:
         u = np.clip(u, 0.0, 1.0)
-        held = dict(zip(others, (low + u * (high - low)).tolist(), strict=True))
+        values = zip(others, (low + u * (high - low)).tolist(), strict=True)
+        held = {name: float(task.stepped[name].rounded(x)) if name in task.stepped else x for name, x in values}
         candidate = _on_line(task, model, held, aims, coarse=True)
         value = task.cost(candidate.values) if candidate.is_feasible else _excess(candidate.model, aims)
         seen.append((not candidate.is_feasible, value, held, u))
@@ -345,7 +346,8 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
     def cost(x: float) -> float:
         return task.cost({name: x, **held})
 
-    grid = np.linspace(low, high, size)
+    in_steps = name in task.stepped
+    grid = task.stepped[name].values if in_steps else np.linspace(low, high, size)
     excesses = np.array([excess(float(x)) for x in grid])
     if excesses.min() > 0.0:
         x = float(grid[np.argmin(excesses)])
@@ -353,7 +355,7 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
 
     def end(inside: int, outside: int) -> float:
         """The end of a range between two values of the grid; the inner one if there is no outer one."""
-        if not 0 <= outside < size:
+        if in_steps or not 0 <= outside < size:
             return float(grid[inside])
         root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
         # On the safe side of the root's tolerance, with few digits, so that the printed design is the verified one.
@@ -368,7 +370,7 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
         ends = end(first, first - 1), end(last, last + 1)
         ranges.append(ends)
         values += [*ends, *grid[first : last + 1].tolist()]
-        if ends[0] < ends[1]:
+        if ends[0] < ends[1] and not in_steps:
             values.append(float(minimize_scalar(cost, bounds=ends, method="bounded").x))
     x = min(values, key=cost)
     return Candidate({name: x, **held}, probabilities(x), is_feasible=True, ranges=tuple(ranges))

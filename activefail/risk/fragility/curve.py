@@ -32,6 +32,7 @@ class Ladder:
     unit: str  # its unit
     levels: Array  # (n,) increasing
     is_log: bool  # whether the steps are equal in the logarithm, in which curves are then interpolated
+    in_steps: bool = False  # whether the variable has no values between the levels
 
     def coordinate(self, levels: Array) -> Array:
         """Levels, or their logarithms."""
@@ -100,6 +101,8 @@ class Curve:
         """The level at which the curve first exceeds a probability."""
         coordinates, values = self.from_the_safe_end
         crossing = first_above(coordinates, values, p)
+        if crossing is not None and self.ladder.in_steps:
+            crossing = float(coordinates[np.argmax(values > p)])
         if crossing is not None:
             return Capacity(self.ladder.level(crossing))
         ends = self.ladder.levels[:: 1 if self.rises else -1]

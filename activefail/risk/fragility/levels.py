@@ -83,6 +83,8 @@ def ladder_of(
         raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     levels = (np.geomspace if is_log else np.linspace)(low, high, _STEPS + 1)
+    if known_one is not None and known_one.step is not None:
+        return Ladder(against, known_one.unit, np.unique(known_one.rounded(levels)), is_log, in_steps=True)
     return Ladder(against, known_one.unit if known_one else "", levels, is_log)
 
 
@@ -161,7 +163,7 @@ def curves_on(
         return question_at_level(level).integral(boundaries, space, RESOLUTION)
 
     integrals = {level: integral(level) for level in ladder.levels.tolist()}
-    for _ in range(_HALVINGS):
+    for _ in range(0 if ladder.in_steps else _HALVINGS):
         levels = sorted(integrals)
         steps = np.abs(np.diff([integrals[level].probability for level in levels], axis=0)).max(axis=1)
         coordinates = ladder.coordinate(np.array(levels))
