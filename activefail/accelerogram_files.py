@@ -4,22 +4,54 @@ import codecs
 import math
 import os
 import re
+from collections.abc import Iterator
+from operator import eq
 from pathlib import Path
 
 import numpy as np
 
+from activefail.accelerogram_header import (
+    NUMBER,
+    UNITS,
+    Lines,
+    agreed,
+    check_format,
+    intervals,
+    points,
+    same_interval,
+    unit_named,
+    units,
+    value_of,
+)
 from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError, naming
 from activefail.trust import read_regular
 
-UNITS = {"g": GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
-"""Units of acceleration, in m/s2."""
-
 _LARGEST = 200_000_000
 """Most bytes of a file."""
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+_NUMBER = re.compile(NUMBER)
+
+_WITH_POINT = re.compile(r"[+-]?(?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+"""A number that may follow another one without a blank: its sign separates them."""
+
+_LONG_EXPONENT = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))([+-]\d{3})")
+"""A number as Fortran writes it if its exponent has three digits."""
+
+Rows = list[tuple[int, list[float]]]
+"""Numbers of lines, with the lines' numbers in the file."""
+
+_WORD = re.compile(r"(?!nan\b|inf)[a-z]{3}", re.IGNORECASE)
+
+_END = re.compile(r"[-=/&#\s]*$|.*\b(?:end|eof)\b", re.IGNORECASE)
+"""A line after the last sample."""
+
+_FAR = 20.0
+"""A whole number at the beginning that is so many times larger than every sample is none."""
+
+_FEW = 10
+"""A tenth of a file, or less than a line, may follow the stated number of points."""
 
 _USUAL = (0.005, 3.0)
 """Peak accelerations of strong motion [g]; other values may have another unit."""
@@ -30,51 +62,46 @@ _USUAL_DT = (1e-4, 0.1)
 _DRIFT = 0.25
 """Largest velocity at the end of a record, over its PGV, that needs no baseline correction."""
 
-_KIND = re.compile(r"\b(ACCELERATION|VELOCITY|DISPLACEMENT) TIME\b.*?UNITS OF\s+(G|CM|M)\b", re.IGNORECASE)
-"""The line of PEER's header that says what a file has."""
 
-
-def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None = None) -> Accelerogram:
+def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt: float | None = None) -> Accelerogram:
     """Read a record.
 
-    A header that states DT and NPTS, as in PEER's AT2 files, is followed by accelerations, any number to a line.
-    Without one, each line has an acceleration, for which `dt` is needed, or a time and an acceleration; blanks, commas
-    or tabs separate columns. Lines before the first number are a header; so are lines that begin with #.
+    Each line has an acceleration, or a time and an acceleration; where a header or the first line states the number of
+    points, it may have any number of accelerations. Blanks, commas or tabs separate columns. Lines before the first
+    numbers are a header; so are lines that begin with #.
+
+    Unit, interval and number of points are what the header or the first lines state. What they state must agree with
+    the options.
 
     Args:
         path: of the file.
-        unit: of the accelerations: "g", "m/s2" or "cm/s2". No file format says it reliably; a header that contradicts
-            it is refused.
-        dt: interval between samples [s], required for a single column; a file that states another one is refused.
+        unit: of the accelerations: "g", "m/s2", "cm/s2" or "mm/s2", required if the header does not state it.
+        dt: interval between samples [s], required if neither the header nor a column of times states it.
 
     Raises:
         InputError: naming the file, the line, the rule and the value.
     """
-    if unit not in UNITS:
-        raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
     path = Path(path)
+    given = None if unit is None else unit_named(unit)
+    if given is not None and given not in UNITS:
+        raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
     if dt is not None and not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"{path}: dt: must be positive and finite, got {dt} s.")
-    try:
-        data = read_regular(path, _LARGEST, follow=True)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path} {error}") from None
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(f"{path}: must be text in UTF-8 or ASCII, got UTF-16.")
-    # The mark of UTF-8 before the first number would make its line a header.
-    text = data.removeprefix(codecs.BOM_UTF8).decode("latin-1")
-    lines = text.splitlines()
+    text = _text(path)
     with naming(f"{path}: "):
-        is_at2 = re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE)
-        values, interval = _of_at2(lines, unit, dt) if is_at2 else _of_columns(lines, dt)
-        return Accelerogram(UNITS[unit] * values, interval, path.stem)
+        header, data = _parts(text)
+        found = agreed("unit", given, units(header), str, eq)
+        if found is None:
+            raise InputError(f"unit: the header states none, so it is required (--unit, one of {', '.join(UNITS)}).")
+        interval = agreed("dt", dt, intervals(header), lambda x: f"{x:g} s", same_interval)
+        count = agreed("points", None, points(header), lambda x: f"{x} points", eq)
+        values, interval, notes = _samples(data, count, interval)
+        return Accelerogram(UNITS[found] * values, interval, path.stem, notes=notes)
 
 
 def doubts(record: Accelerogram) -> list[str]:
     """What makes a record doubtful, as sentences that begin with its name."""
-    named = [f"{record.name} {doubt}" for doubt in _doubts(record)]
+    named = [f"{record.name} {doubt}" for doubt in (*record.notes, *_doubts(record))]
     if record.vertical is not None:
         vertical = Accelerogram(record.vertical, record.dt)
         named += [f"{record.name} (vertical) {doubt}" for doubt in _doubts(vertical)]
@@ -100,65 +127,140 @@ def _doubts(record: Accelerogram) -> list[str]:
     return texts
 
 
-def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, float]:
-    """Accelerations and interval of a file whose header states NPTS and DT."""
-    place = next(k for k, line in enumerate(lines) if re.search(r"\bNPTS\b", line, re.IGNORECASE))
-    for k, line in enumerate(lines[: place + 1], 1):
-        if (match := _KIND.search(line)) is None:
-            continue
-        if match[1].upper() != "ACCELERATION":
-            raise InputError(f"line {k}: must state an acceleration, got {line.strip()!r}.")
-        if match[2].lower() != unit.partition("/")[0]:
-            raise InputError(f"line {k}: must state the unit {unit} (--unit), got {line.strip()!r}.")
-    stated = {}
-    for name in ("NPTS", "DT"):
-        match = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
-        if match is None:
-            # The oldest files: two numbers, then their names.
-            match = re.match(rf"\s*({_NUMBER.pattern})[\s,]+({_NUMBER.pattern})", lines[place])
-            if match is None:
-                raise InputError(f"line {place + 1}: must state {name}, got {lines[place]!r}.")
-            stated = {"NPTS": match[1], "DT": match[2]}
-            break
-        if re.match(r",\d", lines[place][match.end() :]):
-            raise InputError(f"line {place + 1}: {name}: must have a decimal point, got {lines[place]!r}.")
-        stated[name] = match[1]
-    values = np.array([x for k, line in enumerate(lines[place + 1 :], place + 2) for x in _numbers(line, k)])
-    count = _value(stated["NPTS"])
-    if len(values) != count:
-        raise InputError(f"NPTS: must be the number of accelerations, {len(values)}, got {count:g}.")
-    interval = _value(stated["DT"])
-    if dt is not None and abs(interval - dt) > EVEN * dt:
-        raise InputError(f"dt: the header states an interval of {interval:g} s, got {dt:g} s.")
-    return values, interval
+def _text(path: Path) -> str:
+    """The text of a file up to an end mark of old systems.
+
+    Raises:
+        InputError: if it cannot be read, is no text, or has a format that is not read.
+    """
+    try:
+        data = read_regular(path, _LARGEST, follow=True)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path} {error}") from None
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(f"{path}: must be text in UTF-8 or ASCII, got UTF-16.")
+    if b"\0" in data:
+        raise InputError(f"{path}: must be text, got a binary file.")
+    # The mark of UTF-8 before the first number would make its line a header.
+    data = data.removeprefix(codecs.BOM_UTF8)
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    with naming(f"{path} "):
+        check_format(text[:5000])
+    return text.partition("\x1a")[0]
 
 
-def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
-    """Accelerations and interval of a file with one or two columns."""
-    rows: list[tuple[int, list[float]]] = []
-    for k, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        if not rows and not _NUMBER.match(line.strip()):
-            continue
-        rows.append((k, _numbers(line, k)))
-        if len(rows[-1][1]) != len(rows[0][1]) or len(rows[0][1]) > 2:
-            raise InputError(
-                f"line {k}: must have one or two numbers, as many as the first line, got {line!r}.{_about_commas(line)}"
-            )
+def _parts(text: str) -> tuple[Lines, Lines]:
+    """The lines of the header with all comments, and those of the data, without what follows the data."""
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    while lines and _END.match(lines[-1][1]):
+        lines.pop()
+    begin = next((k for k, (_, line) in enumerate(lines) if _is_data(line)), len(lines))
+    header = lines[:begin] + [part for part in lines[begin:] if _is_comment(part[1])]
+    return header, [part for part in lines[begin:] if not _is_comment(part[1])]
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _is_data(line: str) -> bool:
+    """Whether a line begins with a number and has no words."""
+    return bool(_NUMBER.match(line.strip())) and not _WORD.search(line)
+
+
+def _samples(data: Lines, count: int | None, dt: float | None) -> tuple[np.ndarray, float, tuple[str, ...]]:
+    """Accelerations, interval and notes.
+
+    Args:
+        data: lines of numbers.
+        count: number of points that the header states.
+        dt: interval that the header or the option states.
+    """
+    rows = [(k, list(_numbers(line, k))) for k, line in data]
     if not rows:
         raise InputError("must have accelerations, got none.")
+    notes: tuple[str, ...] = ()
+    if sum(len(numbers) for _, numbers in rows) != count:
+        rows, count, dt, notes = _without_first(rows, count, dt)
+    values = np.array([number for _, numbers in rows for number in numbers])
+    widths = {len(numbers) for _, numbers in rows}
+    if widths == {2} and count in (None, len(rows)):
+        return *_of_times(rows, dict(data), dt), notes
+    beyond = 0 if count is None else len(values) - count
+    if count is None and widths != {1}:
+        if not _is_wrapped(rows):
+            k = next((k for k, numbers in rows if len(numbers) != len(rows[0][1])), rows[0][0])
+            line = dict(data)[k]
+            raise InputError(
+                f"line {k}: must have one or two numbers, as many as the first line, got {line!r}."
+                f"{_about_commas(line)} More need a header with NPTS and DT."
+            )
+        notes += (f"has {len(rows[0][1])} accelerations to a line, which are read one after the other.",)
+    if not 0 <= beyond <= max(1, len(rows[0][1]) - 1, len(values) // _FEW):
+        raise InputError(f"points: {count} are stated, but {len(values)} accelerations follow.")
+    if dt is None:
+        raise InputError("has no times, so dt (--dt) is required.")
+    if beyond:
+        notes += (f"has {beyond} more values than its {count} points; they are left out.",)
+    return values[:count], dt, notes
+
+
+def _is_wrapped(rows: Rows) -> bool:
+    """Whether lines can only have a number of successive samples: up to four columns may be components or times."""
+    widths = [len(numbers) for _, numbers in rows]
+    is_even = set(widths[:-1]) == {widths[0]} and widths[-1] <= widths[0] > 2
+    steps = np.diff([numbers[0] for _, numbers in rows])
+    return is_even and (widths[-1] < widths[0] or (widths[0] > 4 and not np.allclose(steps, steps[0], rtol=0.1)))
+
+
+def _without_first(
+    rows: Rows, count: int | None, dt: float | None
+) -> tuple[Rows, int | None, float | None, tuple[str, ...]]:
+    """The rows without first lines that state the number of points or the interval; with both, and notes.
+
+    Such lines have one number each, or one line has both numbers.
+
+    Raises:
+        InputError: if the first number can be neither of these nor a sample.
+    """
+    widths = [len(numbers) for _, numbers in rows[:2]]
+    for lines in [
+        k for k, of in ((2, [1, 1]), (1, [2, 1]), (1, [1, 1]), (1, [1, 2])) if widths == of and len(rows) > k
+    ]:
+        first = [number for _, numbers in rows[:lines] for number in numbers]
+        left = rows[lines:]
+        sizes = (sum(len(numbers) for _, numbers in left), len(left))
+        found = next((int(number) for number in first if number in sizes), None)
+        steps = [number for number in first if number not in sizes]
+        known = [dt is not None and same_interval(step, dt) for step in steps]
+        if all(known) or (dt is None and found and len(steps) == 1 and 0.0 < steps[0] <= _USUAL_DT[1]):
+            said = " and ".join(f"{number:g}" for number in first)
+            note = f"begins with {said}, which is no acceleration: the number of points or the interval."
+            return left, found or count, steps[0] if steps else dt, (note,)
+    others = max((abs(number) for _, numbers in rows[1:] for number in numbers), default=0.0)
+    k, number = rows[0][0], rows[0][1][0]
+    if widths == [1, 1] and number.is_integer() and abs(number) > _FAR * others > 0.0:
+        raise InputError(
+            f"line {k}: must be an acceleration, got {number:g}, and the others are at most {others:g}. Remove a line "
+            "that is none."
+        )
+    return rows, count, dt, ()
+
+
+def _of_times(rows: Rows, lines: dict[int, str], dt: float | None) -> tuple[np.ndarray, float]:
+    """Accelerations and interval of lines with a time and an acceleration."""
     values = np.array([numbers for _, numbers in rows])
-    if values.shape[1] == 1:
-        if dt is None:
-            raise InputError("has no times, so dt (--dt) is required.")
-        return values[:, 0], dt
     if len(values) < 2:
         raise InputError(f"must have at least 2 samples, got {len(values)}.")
     steps = np.diff(values[:, 0])
     mean = float((values[-1, 0] - values[0, 0]) / len(steps))
     # Times are rounded to the digits of the file.
-    rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0] - 1]), 0)
+    rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0]]), 0)
     bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
     if len(bad) or not mean > 0.0:
         # One gap changes the mean of all steps, but not their median.
@@ -166,11 +268,12 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         apart = np.abs(steps - median) if mean > 0.0 else -steps
         # The first of those that differ most, but for rounding.
         k = int(np.argmax(apart >= 0.99 * apart.max())) + 1
+        line = rows[k][0]
         raise InputError(
-            f"line {rows[k][0]}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
-            f"{_about_commas(lines[rows[k][0] - 1])}"
+            f"line {line}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
+            f"{_about_commas(lines[line])}"
         )
-    if dt is not None and abs(mean - dt) > EVEN * dt:
+    if dt is not None and not same_interval(mean, dt):
         raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     return values[:, 1], mean
 
@@ -187,24 +290,22 @@ def _digits(line: str) -> int:
     return len(mantissa.partition(".")[2]) - int(exponent or 0)
 
 
-def _numbers(line: str, k: int) -> list[float]:
+def _numbers(line: str, k: int) -> Iterator[float]:
     """The numbers of line k.
 
     Raises:
         InputError: naming the line and what is no number.
     """
-    numbers = []
-    for part in re.split(r"[\s,;]+", line.strip()):
-        if not part:
-            continue
-        if not _NUMBER.fullmatch(part):
-            raise InputError(f"line {k}: must be numbers, got {part!r}.")
-        numbers.append(_value(part))
-        if not math.isfinite(numbers[-1]):
-            raise InputError(f"line {k}: must be finite, got {part!r}.")
-    return numbers
-
-
-def _value(text: str) -> float:
-    """A number, whose exponent may be written as Fortran does."""
-    return float(text.lower().replace("d", "e"))
+    for part in filter(None, re.split(r"[\s,;]+", line.strip())):
+        if _NUMBER.fullmatch(part):
+            numbers = [part]
+        elif match := _LONG_EXPONENT.fullmatch(part):
+            numbers = [f"{match[1]}e{match[2]}"]
+        else:
+            numbers = _WITH_POINT.findall(part)
+            if "".join(numbers) != part:
+                raise InputError(f"line {k}: must be numbers, got {part!r}.")
+        for number in map(value_of, numbers):
+            if not math.isfinite(number):
+                raise InputError(f"line {k}: must be finite, got {part!r}.")
+            yield number

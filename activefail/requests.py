@@ -374,7 +374,7 @@ class IdaRequest(Request["IdaFindings"]):
     )
     margin: "MarginRequest | None" = declared(MARGIN)
     pulses: bool = option(False, "Compare each record with the pulse nearest to it.", names=("--pulses",))
-    unit: str | None = option(None, "Unit of records without one: g, m/s2 or cm/s2.", str)
+    unit: str | None = option(None, "Unit of records that state none: g, m/s2, cm/s2 or mm/s2.", str)
     dt: float | None = option(None, "Interval of records without times [s].", float)
     vertical: bool = option(
         False, "Use the vertical components that records.csv names (docs/records.md).", names=("--vertical",)

@@ -8,7 +8,7 @@ import pytest
 from commandline import activefail, refused
 
 from activefail import read_accelerogram
-from activefail.accelerogram_files import doubts
+from activefail.accelerogram_files import UNITS, doubts
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 
@@ -79,7 +79,7 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
         ("".join(f"{0.01 * k:.6f} 1\n" for k in range(30) if k != 20), "line 21: times must rise by equal intervals"),
         (
             HEADER.replace("UNITS OF G", "UNITS OF CM/S/S") + "NPTS= 2, DT= 1\n1 2\n",
-            "line 3: must state the unit g",
+            "unit: the header states cm/s2, got g (line 3: ",
         ),
         (
             HEADER.replace("ACC", "VELOCITY TIME SERIES IN UNITS OF CM/S\nACC") + "NPTS= 2, DT= 1\n1 2\n",
@@ -93,11 +93,12 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
         ("0.00 1\n0.01 nan\n", "line 2: must be numbers, got 'nan'"),
         ("0.00 1\n0.01 2 3\n", "line 2: must have one or two numbers"),
         ("0.00 1\n", "at least 2 samples"),
-        (HEADER + "NPTS= 3, DT= 0.01\n1 2\n", "NPTS: must be the number of accelerations, 2, got 3"),
+        (HEADER + "NPTS= 3, DT= 0.01\n1 2\n", "points: 3 are stated, but 2 accelerations follow"),
+        (HEADER + "NPTS= 3, DT= 0.01\n1 2 3\n4 5 6\n7 8 9\n", "points: 3 are stated, but 9 accelerations follow"),
+        (HEADER + "NPTS= 4, DT= 0.01\n0 2\n1 5\n2 8\n", "points: 4 are stated, but 6 accelerations follow"),
         (HEADER + "NPTS= 2, DT= 0.01\n1 x\n", "line 5: must be numbers, got 'x'"),
         (HEADER + "NPTS= 1, DT= 0.01\n1\n", "at least 2 samples"),
         (HEADER + "NPTS= 2, DT= 0\n1 2\n", "dt: must be positive"),
-        (HEADER + "NPTS: many\n1 2\n", "line 4: must state NPTS"),
         ("1e999 2\n2 3\n", "line 1: must be finite"),
     ],
 )
@@ -109,7 +110,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path: Path, text: str, message: str
 
 
 def test_a_wrong_unit_or_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="unit: must be one of g, m/s2, cm/s2, got 'mm'"):
+    with pytest.raises(InputError, match="unit: must be one of g, m/s2, cm/s2, mm/s2, got 'mm'"):
         read_accelerogram(written(tmp_path, "0 1\n1 2\n"), "mm")
     for path in (tmp_path / "none.txt", tmp_path):
         with pytest.raises(InputError, match=re.escape(str(path))):
@@ -128,17 +129,108 @@ def test_an_interval_that_is_none_is_refused_even_if_the_file_has_times(tmp_path
         read_accelerogram(written(tmp_path, "0 1\n1 2\n"), "g", dt)
 
 
-def test_an_interval_that_contradicts_the_header_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, HEADER + "NPTS= 2, DT= 0.01\n1 2\n")
-    assert read_accelerogram(path, "g", 0.01).dt == 0.01
-    with pytest.raises(InputError, match=r"dt: the header states an interval of 0\.01 s, got 0\.02 s"):
-        read_accelerogram(path, "g", 0.02)
+ESM = "EVENT_NAME: X\nSAMPLING_INTERVAL_S: 0.005\nNDATA: 3\nUNITS: cm/s^2\nPGA_CM/S^2: 2.0\nDATA_TYPE: ACCELERATION\n"
+HEADERS = [
+    (ESM, "cm/s2", 0.005),
+    ("PEAK ACC (g): 0.3\nunits: gal\ntime step (s) = 5e-3\nnumber of points = 3\n", "cm/s2", 0.005),
+    ("ACCELERATION (CM/S/S)\nNO. OF POINTS: 3\nSAMPLING RATE (Hz): 200\n", "cm/s2", 0.005),
+    ("Accel. [m/s²]\n3 points at equal spacing of 0.005 sec\n8 points across in a row\n", "m/s2", 0.005),
+    ("# sampling interval: 5 ms\n# unit = cm/sec**2\n", "cm/s2", 0.005),
+    ("Number of data: 3\nSampling frequency: 200 Hz\nAmplitudeUnit: gal. DCoffset(corr)\n", "cm/s2", 0.005),
+    ("acc_g\ndata at .005 sec intervals\n", "g", 0.005),
+    ("The units are (mm/s/s)\nNPTS: 3, DT: 0.005\n", "mm/s2", 0.005),
+]
 
 
-@pytest.mark.parametrize("unit", ["m/s2", "cm/s2"])
-def test_a_unit_that_contradicts_the_header_is_refused(tmp_path: Path, unit: str) -> None:
-    with pytest.raises(InputError, match=f"line 3: must state the unit {unit}"):
-        read_accelerogram(written(tmp_path, HEADER + "NPTS= 2, DT= 0.01\n1 2\n"), unit)
+@pytest.mark.parametrize(("header", "unit", "dt"), HEADERS)
+def test_what_a_header_states_is_taken_and_no_option_overrules_it(
+    tmp_path: Path, header: str, unit: str, dt: float
+) -> None:
+    path = written(tmp_path, header + "1\n-2\n3\n")
+    record = read_accelerogram(path)
+    assert record.dt == pytest.approx(dt)
+    assert record.acceleration == pytest.approx(UNITS[unit] * np.array([1.0, -2.0, 3.0]))
+    assert read_accelerogram(path, unit, dt).acceleration.tolist() == record.acceleration.tolist()
+    wrong = "m/s2" if unit != "m/s2" else "g"
+    with pytest.raises(InputError, match=rf"record.txt: unit: the header states {unit}, got {wrong} \(line \d"):
+        read_accelerogram(path, wrong)
+    with pytest.raises(InputError, match=r"record.txt: dt: the header states 0\.005 s, got 0\.01 s \(line \d"):
+        read_accelerogram(path, unit, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("", "unit: the header states none, so it is required (--unit"),
+        ("UNITS: cm/s\n", "line 1: must state a unit of acceleration"),
+        ("UNITS: g/10\n", "line 1: must state a unit of acceleration"),
+        ("DATA_TYPE: VELOCITY\n", "line 1: must state an acceleration"),
+        ("NPTS= 3, DT= 0.01\nsampling rate: 200 Hz\n", "dt: the header states 0.005 s, got 0.01 s (line 2"),
+        ("unit: g\nacceleration (gal)\n", "unit: the header states cm/s2, got g (line 2"),
+    ],
+)
+def test_a_header_that_says_too_little_or_contradicts_itself_is_refused(
+    tmp_path: Path, header: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        read_accelerogram(written(tmp_path, header + "1\n-2\n3\n"), None, None if "DT" in header else 0.01)
+
+
+@pytest.mark.parametrize("first", ["0.01", "3", "3\n0.01", "0.01\n3", "3 0.01", "0.01, 3"])
+def test_a_first_line_that_is_the_interval_or_the_number_of_points_is_no_sample(tmp_path: Path, first: str) -> None:
+    path = written(tmp_path, first + "\n1\n-2\n3\n")
+    record = read_accelerogram(path, "m/s2", 0.01)
+    assert (record.acceleration.tolist(), record.dt) == ([1.0, -2.0, 3.0], 0.01)
+    said = " and ".join(first.replace(",", " ").split())
+    assert f"record begins with {said}, which is no acceleration" in doubts(record)[0]
+    if len(first) > 5:
+        assert read_accelerogram(path, "m/s2").acceleration.tolist() == [1.0, -2.0, 3.0]
+    with pytest.raises(InputError, match="line 1: must be an acceleration, got 4000, and the others are at most 3"):
+        read_accelerogram(written(tmp_path, "4000\n1\n-2\n3\n"), "m/s2", 0.01)
+
+
+@pytest.mark.parametrize(
+    ("data", "note"),
+    [
+        ("1 -2 3 4 5\n-6 7\n*** End Data ***\n\n", ""),
+        ("1 -2 3 4 5\n-6 7\n\x1a", ""),
+        ("1 -2 3 4 5\n-6 7 0 0 0\n", "has 3 more values than its 7 points; they are left out."),
+        ("1\n-2\n3\n4\n5\n-6\n7\n8\n", "has 1 more values than its 7 points; they are left out."),
+        ("1.0-2.0 3. 4.\n.5D+1-6. 7.000-000\n", ""),
+    ],
+)
+def test_at2_files_are_read_as_they_are_found(tmp_path: Path, data: str, note: str) -> None:
+    record = read_accelerogram(written(tmp_path, HEADER + "NPTS:   7, DT: .01 SEC\n" + data))
+    assert record.acceleration == pytest.approx(GRAVITY * np.array([1, -2, 3, 4, 5, -6, 7]))
+    assert list(record.notes) == [note] * bool(note)
+
+
+def test_lines_of_a_few_samples_are_read_one_after_the_other_unless_they_may_be_components(tmp_path: Path) -> None:
+    for text in ("1 -2 3\n4 5 -6\n7\n", "1 -2 3 4 5\n-6 7 8 9 0\n4 4 4 4 4\n"):
+        record = read_accelerogram(written(tmp_path, text), "m/s2", 0.01)
+        assert record.acceleration.tolist() == list(map(float, text.split()))
+        assert "accelerations to a line, which are read one after the other" in record.notes[0]
+    for text in ("1 -2 3\n4 5 -6\n7 8 9\n", "0 1 2 3 4\n0.1 1 2 3 4\n0.2 1 2 3 4\n", "1 2 3\n4 5\n6 7 8\n"):
+        with pytest.raises(InputError, match=r"must have one or two numbers, .* More need a header with NPTS and DT"):
+            read_accelerogram(written(tmp_path, text), "m/s2", 0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("Origin Time       2011/03/11\nScale Factor      3920(gal)/6182761\n  1 2\n", "K-NET"),
+        ("2 CORRECTED ACCELEROGRAM\n*\n", "SMC"),
+        ("Corrected acceleration    (Format v01.20 with 13 text lines)\n", "COSMOS"),
+        ("Corrected accelerogram 20161113_110256_WTMC_20 GNS Science\n", "GeoNet"),
+        ("Corrected accelerogram   89146-L2500-12044.02       Chan  1: 360 Deg\n", "CSMIP"),
+    ],
+)
+def test_formats_of_agencies_are_refused_by_name(tmp_path: Path, text: str, name: str) -> None:
+    with pytest.raises(InputError, match=f"record.txt is a file in {name}'s format, which activefail does not read"):
+        read_accelerogram(written(tmp_path, text + "1 2\n"), "g", 0.01)
+    (tmp_path / "record.txt").write_bytes(b"1 2\n\0")
+    with pytest.raises(InputError, match=r"record\.txt: must be text, got a binary file"):
+        read_accelerogram(tmp_path / "record.txt", "g")
 
 
 @pytest.mark.parametrize(
@@ -198,7 +290,9 @@ def test_the_command_simulates_a_record(tmp_path: Path) -> None:
     )
     refused(activefail("simulate", *BEARING, "--vertical", up), "--vertical requires --record")
     refused(activefail("simulate", *options, "--t-p", "1"), "--record cannot be combined with --t-p")
-    refused(activefail("simulate", *options[:-2]), "--record requires --unit, one of g, m/s2, cm/s2")
+    refused(
+        activefail("simulate", *options[:-2]), "record.txt: unit: the header states none, so it is required (--unit"
+    )
     refused(activefail("simulate", *BEARING, "--scale", "2"), "--scale requires --record")
     refused(
         activefail("simulate", "--t-b", "4", "--record", path, "--unit", "g", "--dt", "0.01"), "all seven variables"

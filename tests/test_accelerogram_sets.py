@@ -55,7 +55,7 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
         ),
         ("file,unit\na.txt\n", r"line 2\): must have 2 cells, like the header, has 1"),
         ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2\), column dt: must be a number, got 'soon'"),
-        ("file\na.txt\nb.AT2\n", r"line 2\): requires a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
+        ("file\na.txt\nb.AT2\n", r"a\.txt: unit: the header states none, so it is required \(--unit"),
         (
             "file,unit\na.txt,feet\nb.AT2,g\n",
             r"records\.csv: row 1 .line 2\), column unit: must be one of g, .*, got 'feet'",
@@ -64,7 +64,7 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
         ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
         ("", r"records.csv: is empty; a header is required"),
         ("file,unit,unit\na.txt,g,g\n", r"column 'unit': must occur only once, occurs 2 times"),
-        ("file,unit,dt\nb.AT2,g,0.02\na.txt,g,0.1\n", r"b.AT2: dt: the header states an interval of 0.01 s, got 0.02"),
+        ("file,unit,dt\nb.AT2,g,0.02\na.txt,g,0.1\n", r"b.AT2: dt: the header states 0.01 s, got 0.02 s"),
     ],
 )
 def test_a_table_that_breaks_a_rule_is_refused_by_line(folder: Path, table: str, message: str) -> None:
@@ -105,7 +105,7 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
     table.write_text("file,vertical,event,dt\na.txt,c.dat,Kobe,0.01\nb.AT2,c.dat,Kobe,0.01\n")
     plain = read_record_set(folder, "m/s2")
     assert not plain.has_vertical
-    assert "records.csv names 1 vertical components, which only --vertical uses." in plain.notes
+    assert "There are 1 vertical components, which only --vertical uses." in plain.notes
     assert plain.left_out == ()
     risen = read_record_set(folder, "m/s2", vertical=True)
     assert [np.asarray(record.motion.vertical).tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
@@ -128,6 +128,53 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
         InputError, match=r"c.dat: vertical: must have the interval of the horizontal component, 0.01 s"
     ):
         read_record_set(folder, "m/s2", vertical=True)
+
+
+SEARCHED = """ PEER Ground Motion Database, Time Series Search Report -- NGA-West2 -- 2022-01-12,,,
+,,,
+Magnitude Min:,6.7,,
+ -- Summary of Metadata of Selected Records --,,,
+Result ID, Record Sequence Number, Earthquake Name, Year, Horizontal-1 Acc. Filename, Horizontal-2 Acc. Filename, \
+Vertical Acc. Filename,,,
+1,864, "Landers",1992, RSN864_LANDERS_JOS000.AT2, RSN864_LANDERS_JOS090.AT2 , RSN864_LANDERS_JOS-UP.AT2
+2,1614," ""Duzce_ Turkey""\",1999,RSN1614_DUZCE_1061-N.AT2,RSN1614_DUZCE_1061-E.AT2,RSN1614_DUZCE_1061-V.AT2
+3,6915, "Darfield",2010,RSN6915_DARFIELD_HVSCS26W.AT2,RSN6915_DARFIELD_HVSCS64E.AT2,RSN6915_DARFIELD_HVSCUP.AT2
+
+ -- Scaled Spectra used in Search & Scaling --
+Period (sec),Target pSa (g)
+0.01,0.74
+"""
+
+
+def test_a_folder_from_peer_is_understood_by_its_table_or_by_its_names(tmp_path: Path) -> None:
+    names = [word.strip() for line in SEARCHED.splitlines()[5:8] for word in line.split(",")[-3:]]
+    for number, name in enumerate(names, 1):
+        text = f"ACCELERATION TIME SERIES IN UNITS OF G\nNPTS= 4, DT= .01 SEC\n0 {number} 2 0\n"
+        (tmp_path / name).write_text(text)
+    by_names = read_record_set(tmp_path, vertical=True)
+    (tmp_path / "_SearchResults.csv").write_text(SEARCHED)
+    by_table = read_record_set(tmp_path, vertical=True)
+    full = ["Duzce_ Turkey 1999", "Darfield 2010", "Landers 1992"]
+    for found, events in ((by_names, ["DUZCE", "DARFIELD", "LANDERS"]), (by_table, full)):
+        assert [record.event for record in found.records] == [event for event in events for _ in range(2)]
+        assert found.without_event == 0
+        up = [round(float(np.asarray(record.motion.vertical)[1] / GRAVITY)) for record in found.records]
+        assert up == [6, 6, 9, 9, 3, 3]
+    assert by_names.notes[:2] == [
+        "Files with vertical components, by their names: RSN1614_DUZCE_1061-V.AT2, RSN6915_DARFIELD_HVSCUP.AT2, "
+        "RSN864_LANDERS_JOS-UP.AT2.",
+        "Records of one earthquake are those with the same word in their names, such as LANDERS.",
+    ]
+    (tmp_path / names[0]).unlink()
+    (tmp_path / "RSN865_LANDERS_XYZ000.AT2").write_text((tmp_path / names[1]).read_text())
+    fewer = read_record_set(tmp_path)
+    assert "PEER's table names files that are not in the folder: RSN864_LANDERS_JOS000.AT2." in fewer.notes
+    assert [record.event for record in fewer.records].count("Landers 1992") == 2
+    (tmp_path / names[2]).rename(tmp_path / "RSN864_LANDERS_JOSXX.AT2")
+    (tmp_path / names[1]).rename(tmp_path / "RSN864_LANDERS_JOSYY.AT2")
+    (tmp_path / "RSN864_LANDERS_JOSZZ.AT2").write_text((tmp_path / names[3]).read_text())
+    with pytest.raises(InputError, match=r"JOSZZ.AT2: record 864 has more than two horizontal components"):
+        read_record_set(tmp_path)
 
 
 def test_a_set_of_fema_p695_has_no_vertical_components() -> None:

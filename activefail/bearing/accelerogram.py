@@ -29,6 +29,7 @@ class Accelerogram:
         dt: interval between samples [s].
         name: of the record, for messages and plots.
         vertical: (n,) vertical acceleration, up [m/s2]; None if the ground moves horizontally only.
+        notes: what to know of the file that it comes from, as ends of sentences that begin with its name.
 
     Raises:
         InputError: naming the rule and the value.
@@ -38,6 +39,7 @@ class Accelerogram:
     dt: float
     name: str = ""
     vertical: Array | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt) and self.dt > 0.0):
@@ -85,6 +87,7 @@ class Accelerogram:
             self,
             acceleration=np.pad(self.acceleration, (0, max(-missing, 0))),
             vertical=np.pad(component.acceleration, (0, max(missing, 0))),
+            notes=(*self.notes, *(f"(vertical) {note}" for note in component.notes)),
         )
 
     @property

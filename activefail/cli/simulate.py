@@ -46,7 +46,12 @@ def simulate(
         Path | None,
         typer.Option(help="Ground-motion record in place of the pulse (docs/records.md).", show_default=False),
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of the record: g, m/s2 or cm/s2.", show_default=False)] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of the record, if its header states none: g, m/s2, cm/s2 or mm/s2.", show_default=False
+        ),
+    ] = None,
     scale: Annotated[float | None, typer.Option(help="Factor on the record; 1 by default.", show_default=False)] = None,
     dt: Annotated[
         float | None, typer.Option(help="Time between the samples of a record without times [s].", show_default=False)
@@ -110,10 +115,8 @@ def simulate(
 def _read_record(
     path: Path, unit: str | None, scale: float | None, dt: float | None, vertical: Path | None
 ) -> "Accelerogram":
-    from activefail.accelerogram_files import UNITS, read_accelerogram
+    from activefail.accelerogram_files import read_accelerogram
 
-    if unit is None:
-        raise InputError(f"--record requires --unit, one of {', '.join(UNITS)}: files do not say it reliably.")
     accelerogram = read_accelerogram(path, unit, dt)
     if vertical is not None:
         component = read_accelerogram(vertical, unit, dt)

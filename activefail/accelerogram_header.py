@@ -1,0 +1,193 @@
+"""What the header of a file of ground motion states: unit, interval between samples, number of points."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from activefail.bearing.accelerogram import EVEN
+from activefail.bearing.design import GRAVITY
+from activefail.errors import InputError
+
+UNITS = {"g": GRAVITY, "m/s2": 1.0, "cm/s2": 0.01, "mm/s2": 0.001}
+"""Units of acceleration, in m/s2."""
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
+"""A number, whose exponent may be written as Fortran does."""
+
+Lines = list[tuple[int, str]]
+"""Lines with their numbers in the file."""
+
+_GAP = r"(?:[ _]?[\[(][^\])]*[\])])?\s*(?:[:=,]|\bis\b|\bof\b)?\s*"
+"""What is between a key and its value: a unit in brackets, and a sign or word."""
+
+_ACCELERATION = (
+    r"(?:[cm]?m\s*/\s*s(?:ec)?\s*(?:(?:\^|\*\*)?\s*[2²]|/\s*s(?:ec)?)|[cm]?m[ _.·]?s(?:ec)?\^?-?[2²]|gals?|g)"
+    r"(?![\w/^*²])"
+)
+_UNIT = re.compile(
+    r"units?\s*(?:\b(?:of|in|are|is)\b|[:=,])\s*[\[(]?\s*([^\s,;()\[\]]+(?:\s*/\s*[^\s,;()\[\]]+)*)"
+    r"|\bacc\w*\.?\s*[\[(]([^\])]+)[\])]"
+    rf"|[\[(]\s*({_ACCELERATION})\s*[\])]"
+    rf"|\b(?:in|acc[a-z]*)[\s._,-]+({_ACCELERATION})",
+    re.IGNORECASE,
+)
+_NO_UNIT_OF_SAMPLES = re.compile(r"peak|max|pga|scale|range|sensiti|trigger|threshold", re.IGNORECASE)
+_POINTS = re.compile(
+    r"(?:\bNPTS?|\bN_?POINTS|\bNDATA|\bn(?:umber|um|o\.?)[ _](?:of[ _])?(?:\w+[ _])?(?:points|data|samples|values))\b"
+    rf"{_GAP}(\d+)"
+    r"|(?<![\d.])(\d+)\s+(?:(?:data|accel\w*)\s+)?(?:points|samples|pts)\b(?!\s+(?:across|per|a)\b)"
+    rf"|^\W*(?:points|samples)\b{_GAP}(\d+)"
+    r"|^\s*(\d+)[\s,]+\S+[\s,]+NPTS\b",
+    re.IGNORECASE,
+)
+_INTERVAL = re.compile(
+    rf"(?:\bDT(?:_s)?\b|\bdelta(?:[ _]?t)?\b|Δ\s?t\b|(?:time|sampl\w*)[ _-]*(?:step|interval|increment|period|spacing)"
+    rf"(?:_m?s)?\b){_GAP}({NUMBER})\s*[a-z]*"
+    rf"|\bspac(?:ed|ing)\s+(?:\w+\s+)?(?:at|of|by)\s+({NUMBER})\s*[a-z]*"
+    rf"|\bintervals\s+of\s+({NUMBER})\s*[a-z]*"
+    rf"|({NUMBER})\s*m?s(?:ec)?\w*\s+intervals?\b"
+    rf"|^\s*\d+[\s,]+({NUMBER})[\s,]+NPTS\b",
+    re.IGNORECASE,
+)
+_RATE = re.compile(
+    rf"(?:\bsampl\w*[ _-]*(?:rate|freq\w*)(?:_hz)?|\bfs){_GAP}({NUMBER})\s*[a-z]*"
+    rf"|\bsampled\s+at\s+({NUMBER})\s*Hz"
+    rf"|({NUMBER})\s*(?:samples\s*(?:/|per)\s*s|sps\b)",
+    re.IGNORECASE,
+)
+_MILLISECONDS = re.compile(r"(?<![a-z])m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
+_KIND = re.compile(r"\b(?:(\w+)\s+TIME\s+(?:SERIES|HISTORY)|DATA[_ ]?TYPE\s*[:=]\s*(\w+))", re.IGNORECASE)
+_OTHER_KINDS = ("VEL", "DIS", "SA", "SD")
+
+FORMATS = {
+    "K-NET": r"^Scale Factor\s+[\d.]+\(gal\)/",
+    "SMC": r"\A\s*\d (?:UN)?CORRECTED ACCELEROGRAM|\A\s*\d (?:VELOCITY|DISPLACEMENT)",
+    "COSMOS": r"\(Format v\d",
+    "GeoNet": r"\A(?:un)?corrected accelerogram.*GNS",
+    "CSMIP": r"\A(?:un)?corrected accelerogram|points of accel data equally",
+}
+"""Formats of agencies that are not read, and what shows them: their headers are numbers whose place has a meaning."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A fact that a line of a header states.
+
+    Attributes:
+        value: of the fact.
+        line: number of the line in the file.
+        text: the line.
+    """
+
+    value: Any
+    line: int
+    text: str
+
+
+def unit_named(text: str) -> str:
+    """The name in UNITS of a unit that may be spelled as gal, cm/sec^2, CM/S/S or m s-2; the text itself if none."""
+    plain = re.sub(r"sec(?:ond)?s?", "s", text.strip().lower().replace("²", "2"))
+    plain = re.sub(r"[\s^*·._]", "", plain).replace("/s/s", "/s2").replace("s-2", "/s2").replace("//", "/")
+    plain = {"gal": "cm/s2", "gals": "cm/s2", "ms2": "m/s2", "cms2": "cm/s2", "mms2": "mm/s2"}.get(plain, plain)
+    return plain if plain in UNITS else text
+
+
+def check_format(text: str) -> None:
+    """Refuse a file of a format that is not read.
+
+    Raises:
+        InputError: naming the format.
+    """
+    for name, pattern in FORMATS.items():
+        if re.search(pattern, text, re.IGNORECASE | re.MULTILINE):
+            raise InputError(f"is a file in {name}'s format, which activefail does not read (see docs/records.md).")
+
+
+def units(header: Lines) -> list[Stated]:
+    """The units of acceleration that a header states.
+
+    Raises:
+        InputError: if it states velocities, displacements or a unit that is not read.
+    """
+    found = []
+    for line, text in header:
+        kind = _KIND.search(text)
+        if kind and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS):
+            raise InputError(f"line {line}: must state an acceleration, got {text.strip()!r}.")
+        if _NO_UNIT_OF_SAMPLES.search(text):
+            continue
+        for match in _UNIT.finditer(text):
+            said = next(filter(None, match.groups())).strip(" .:")
+            unit = unit_named(said)
+            if unit in UNITS:
+                found.append(Stated(unit, line, text))
+            elif re.search(r"[/%^²]|^(?:[cm]?m|counts?|in|ft|mg|milli.*)$", said, re.IGNORECASE):
+                raise InputError(
+                    f"line {line}: must state a unit of acceleration, {', '.join(UNITS)}, got {text.strip()!r}."
+                )
+    return found
+
+
+def intervals(header: Lines) -> list[Stated]:
+    """The intervals between samples that a header states [s].
+
+    Raises:
+        InputError: if one has a decimal comma.
+    """
+    found = []
+    for line, text in header:
+        for pattern in (_INTERVAL, _RATE):
+            for match in pattern.finditer(text):
+                if re.match(r",\d", text[match.end() :]):
+                    raise InputError(f"line {line}: DT: must have a decimal point, got {text!r}.")
+                number = value_of(next(filter(None, match.groups())))
+                in_ms = _MILLISECONDS.search(match[0])
+                # No strong motion is sampled less than once a second: such a rate is an interval.
+                is_rate = pattern is _RATE and number > 1.0 and not in_ms
+                found.append(Stated(1.0 / number if is_rate else 1e-3 * number if in_ms else number, line, text))
+    return found
+
+
+def points(header: Lines) -> list[Stated]:
+    """The numbers of points that a header states."""
+    return [
+        Stated(int(next(filter(None, match.groups()))), line, text)
+        for line, text in header
+        for match in _POINTS.finditer(text)
+    ]
+
+
+def same_interval(one: float, other: float) -> bool:
+    """Whether two intervals differ only by rounding."""
+    return abs(one - other) <= EVEN * abs(other)
+
+
+def agreed(
+    key: str, given: Any, stated: Iterable[Stated], shown: Callable[[Any], str], same: Callable[[Any, Any], bool]
+) -> Any:
+    """The value that an option gives or a header states; None if there is none.
+
+    Args:
+        key: name of the fact.
+        given: value of the option; None if it is left out.
+        stated: what the header states.
+        shown: a value in words.
+        same: whether two values are the same.
+
+    Raises:
+        InputError: if two of them differ.
+    """
+    value = given
+    for fact in stated:
+        if value is None:
+            value = fact.value
+        elif not same(fact.value, value):
+            place = f"line {fact.line}: {fact.text.strip()!r}"
+            raise InputError(f"{key}: the header states {shown(fact.value)}, got {shown(value)} ({place}).")
+    return value
+
+
+def value_of(text: str) -> float:
+    """A number, whose exponent may be written as Fortran does."""
+    return float(text.lower().replace("d", "e"))
