@@ -23,6 +23,9 @@ ROWS_AT_ONCE = 2048
 _LONGEST_HEADER = 1_000_000
 """Most characters that are read in search of a header."""
 
+_FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
+"""How a formula begins, also in full-width characters."""
+
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
 
@@ -380,10 +383,25 @@ def _appending(file: TextStream, then: Callable[[], None] = lambda: None) -> Cal
 
     def append(rows: Sequence[Sequence[Any]]) -> None:
         for row in rows:
-            (quoting if any("\r" in str(cell) for cell in row) else plain).writerow(row)
+            (quoting if any("\r" in str(cell) for cell in row) else plain).writerow(map(harmless, row))
         then()
 
     return append
+
+
+def harmless(cell: Any) -> Any:
+    """A cell that no spreadsheet takes for a formula: foreign text that looks like one gets an apostrophe.
+
+    >>> [harmless(cell) for cell in ("=1+1", "-0.5", "@x", "a=b", -2.0)]
+    ["'=1+1", '-0.5', "'@x", 'a=b', -2.0]
+    """
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def likely_header(path: Path) -> list[str]:

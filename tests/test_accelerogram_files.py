@@ -165,7 +165,7 @@ def test_what_a_header_states_is_taken_and_no_option_overrules_it(
         ("UNITS: cm/s\n", "line 1: must state a unit of acceleration"),
         ("UNITS: g/10\n", "line 1: must state a unit of acceleration"),
         ("DATA_TYPE: VELOCITY\n", "line 1: must state an acceleration"),
-        ("NPTS= 3, DT= 0.01\nsampling rate: 200 Hz\n", "dt: the header states 0.005 s, got 0.01 s (line 2"),
+        ("UNITS: g\nNPTS= 3, DT= 0.01\nsampling rate: 200 Hz\n", "dt: the header states 0.005 s, got 0.01 s (line 3"),
         ("unit: g\nacceleration (gal)\n", "unit: the header states cm/s2, got g (line 2"),
     ],
 )

@@ -1,5 +1,6 @@
 """Tables: every bad cell is named before anything is done, and a table appears whole or not at all."""
 
+import csv
 import io
 import os
 import stat
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from activefail.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, rereadable, writing
+from activefail.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, harmless, rereadable, writing
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -148,7 +149,18 @@ def test_what_is_written_is_read_again_to_the_last_bit(
     with writing(path, ["note", "a", "other", "b"]) as write:
         write(given)
     repeated = DesignTable.checked(Kept(path, str(path)), NAMES, (), ordered)
-    assert rows(repeated) == (given, [[a, b] for _, a, _, b in texts])
+    kept = [[harmless(note), a, harmless(other), b] for note, a, other, b in given]
+    assert rows(repeated) == (kept, [[a, b] for _, a, _, b in texts])
+
+
+def test_no_cell_or_name_of_a_column_is_written_as_a_formula(tmp_path: Path) -> None:
+    formulas = ["=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", " =1", "\n=1", "＝1", "-x", "\r=1"]
+    numbers = ["-0.5", "+1e-3", "-inf", "nan", " -7 ", "a=b", "2-1", ""]
+    with writing(tmp_path / "out.csv", ["=name"]) as write:
+        write([[cell] for cell in (*formulas, *numbers)])
+    with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
+        written = [cells[0] if cells else "" for cells in csv.reader(file)]
+    assert written == ["'=name", *("'" + cell for cell in formulas), *numbers]
 
 
 # --- writing -----------------------------------------------------------------------------------------------------
