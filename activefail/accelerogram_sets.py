@@ -106,7 +106,7 @@ class RecordSet:
                 "separate event. The intervals are too narrow if some of these records come from one earthquake."
             )
         if self.unused:
-            notes.append(f"There are {self.unused} vertical components, which only --vertical uses.")
+            notes.append(f"Vertical components ({self.unused} files) are used with --vertical only.")
         if self.left_out:
             notes.append(f"{TABLE} leaves out {_some(self.left_out)}.")
         first: dict[bytes, Accelerogram] = {}

@@ -105,7 +105,7 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
     table.write_text("file,vertical,event,dt\na.txt,c.dat,Kobe,0.01\nb.AT2,c.dat,Kobe,0.01\n")
     plain = read_record_set(folder, "m/s2")
     assert not plain.has_vertical
-    assert "There are 1 vertical components, which only --vertical uses." in plain.notes
+    assert "Vertical components (1 files) are used with --vertical only." in plain.notes
     assert plain.left_out == ()
     risen = read_record_set(folder, "m/s2", vertical=True)
     assert [np.asarray(record.motion.vertical).tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
