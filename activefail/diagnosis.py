@@ -91,7 +91,7 @@ def _kernels() -> Finding:
 
     folder = getattr(integrate._cache, "cache_path", None)
     if folder is None:
-        return Finding("kernels", "not kept: no folder can be written, so each process compiles the simulator")
+        return Finding("kernels", "not kept: no private folder can be written, so each process compiles the simulator")
     kept = any(Path(folder).glob("*.nbi"))
     return Finding("kernels", f"{'kept' if kept else 'will be compiled now, some 20 s, and kept'} in {visible(folder)}")
 

@@ -317,8 +317,8 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
     known = (*space.names, *space.fixed)
     expressions = []
     for name, text in features.expressions.items():
-        if name in space.names:
-            raise InputError(f"classifier.features.expressions.{name}: must not have the name of a variable.")
+        if name in known:
+            raise InputError(f"classifier.features.expressions.{name}: must not have the name of another quantity.")
         try:
             expressions.append(parse_expression(text, known))
         except ValueError as error:

@@ -439,15 +439,66 @@ def test_an_asynchronous_campaign_goes_on_by_hand(tmp_path: Path) -> None:
     assert "0 simulations added" in activefail("add", tmp_path / "run", "--csv", tmp_path / "old.csv").out
 
 
-def test_a_design_changed_in_its_last_digits_is_the_same_and_by_more_is_another(folder: Path) -> None:
-    with af.open_run(folder, write=True) as run:
-        design = run.in_flight.iloc[0].to_dict()
-        with pytest.raises(
-            InputError, match=r"must be .*, as handed out with id 8 \(use `add` for another design\), got"
-        ):
-            run.tell(design | {"g": 1.0, "load": design["load"] + 4e-8})
-        assert run.tell(design | {"g": 1.0, "load": design["load"] + 4e-11}) == 1
-        assert run.simulations["load"].iloc[-1] == design["load"]
+SCALES = {
+    "uniform": "low = 1.0, high = 5.0",
+    "offset": "low = 100.0, high = 110.0",
+    "decades": 'low = 1e-12, high = 1e3, distribution = "log_uniform"',
+    "about_zero": 'mean = 0.0, sd = 1.0, distribution = "normal"',
+    "lognormal": 'median = 1.0, dispersion = 3.0, distribution = "lognormal"',
+    "weibull": 'shape = 0.2, scale = 1.0, distribution = "weibull"',
+    "gamma": 'shape = 0.2, scale = 1.0, distribution = "gamma"',
+    "beta": 'low = 0.0, high = 1.0, alpha = 0.5, beta = 3.0, distribution = "beta"',
+    "gumbel": 'location = 10.0, scale = 1.0, distribution = "gumbel_max"',
+    "exponential": 'rate = 1e-3, distribution = "exponential"',
+}
+
+
+@pytest.fixture(scope="module")
+def on_scales(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder with eight designs in flight, whose variables have all kinds of scales."""
+    file = tmp_path_factory.mktemp("scales") / "lab.toml"
+    space = "".join(f"{name} = {{ {text} }}\n" for name, text in SCALES.items())
+    file.write_text(f"{LAB.partition('[space]')[0]}[space]\n{space}")
+    with af.create_run(file.with_name("run"), file) as run:
+        run.ask(8)
+    return file.with_name("run")
+
+
+@pytest.mark.parametrize("write", [repr, np.float32, "{:.6g}".format, "{:.4e}".format], ids=str)
+def test_a_design_that_was_rounded_honestly_is_the_same(on_scales: Path, write: Callable[[float], Any]) -> None:
+    with af.open_run(on_scales) as run:
+        table = run.in_flight.assign(g=1.0)
+        for name in SCALES:
+            table[name] = [float(write(value)) for value in table[name]]
+        assert not run.is_told(table)
+        run.is_told(table[["id", "g", "uniform", "decades"]])
+
+
+@pytest.mark.parametrize("name", SCALES)
+def test_a_design_that_was_changed_or_exchanged_is_refused(on_scales: Path, name: str) -> None:
+    with af.open_run(on_scales) as run:
+        table = run.in_flight.assign(g=1.0)
+        others = table.copy()
+        others[name] = np.roll(table[name], 1)
+        changed = table.copy()
+        changed.loc[3, name] *= 1.001 if name != "decades" else 1.5
+        smallest = table.copy()
+        smallest.loc[0, name], smallest.loc[1, name] = sorted(table[name])[:2][::-1]
+        for wrong in (others, changed, smallest):
+            for columns in (wrong, wrong[["id", "g", name]]):
+                with pytest.raises(InputError, match=rf"column {name}: must be .*, as handed out with id \d"):
+                    run.is_told(columns)
+
+
+def test_exchanged_designs_that_differ_by_less_than_their_rounding_are_refused(lab: Path) -> None:
+    lab.write_text(LAB.replace("low = 1.0, high = 5.0", "low = 1.0, high = 1.0001"))
+    with af.create_run(lab.with_name("run"), lab) as run:
+        asked = run.ask(8).assign(g=1.0)
+        order = np.argsort(asked["load"])
+        exchanged = asked.copy()
+        exchanged.loc[order[:2], "load"] = asked.loc[order[:2][::-1], "load"].to_numpy()
+        with pytest.raises(InputError, match="as handed out with id"):
+            run.is_told(exchanged[["id", "g", "load"]])
 
 
 def test_added_simulations_are_given_and_must_lie_in_the_design_space(folder: Path, tmp_path: Path) -> None:

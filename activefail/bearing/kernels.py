@@ -1,9 +1,9 @@
 """The compiled kernels: their compiler options, and the folder that keeps them."""
 
-import ast
 import hashlib
 import logging
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from activefail.errors import InputError
+from activefail.syntax import dumped, syntax_of
 
 KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
@@ -78,9 +79,11 @@ def folder_of_kernels(package: Path = _PACKAGE) -> Path:
     from numba.misc.appdirs import AppDirs
 
     pycache = package / "__pycache__"
-    base = Path(
-        config.CACHE_DIR or (pycache if os.access(package, os.W_OK) else AppDirs("numba", False).user_cache_dir)
-    )
+    user = Path(AppDirs("numba", False).user_cache_dir)
+    bases = [*([pycache] if os.access(package, os.W_OK) else []), user]
+    if config.CACHE_DIR:
+        bases = [Path(config.CACHE_DIR)]
+    base = next((base for base in bases if _is_private(base)), bases[-1])
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
         digest.update(source.name.encode() + b"\0" + source.read_bytes())
@@ -100,7 +103,8 @@ def kept_kernels(folder: Path) -> Iterator[None]:
     By itself, numba checks only a kernel's own file: it would continue to use a kernel after a change in a function
     that the kernel calls, or after a change of the compiler options. Numba would also turn to its other folders, which
     have the same fault, if it cannot use this one, or if `NUMBA_CACHE_LOCATOR_CLASSES` names them. Therefore numba gets
-    this folder alone. If it cannot be written, kernels are compiled for this process and not kept.
+    this folder alone. If it cannot be written, or another user may write there, kernels are compiled for this process
+    and not kept: numba unpickles what it keeps.
     """
     from numba.core import config, dispatcher
     from numba.core.caching import UserProvidedCacheLocator
@@ -109,17 +113,38 @@ def kept_kernels(folder: Path) -> Iterator[None]:
     before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching
     config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), UserProvidedCacheLocator.__name__
     place = folder / UserProvidedCacheLocator.get_suitable_cache_subpath(__file__)
-    kernel_type.enable_caching = _keep if _is_writable(place) else _do_not_keep
+    kernel_type.enable_caching = _keep if _is_writable(place) and _is_private(place) else _do_not_keep
     try:
         yield
     finally:
         config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching = before
 
 
-def _is_writable(folder: Path) -> bool:
-    """Whether files can be created in a folder, which is created too."""
+def _is_private(folder: Path) -> bool:
+    """Whether only this user and root may change what a folder contains, or will contain once it is created.
+
+    In a parent with the sticky bit, such as /tmp, nobody may replace another's folder. A group is this user's own if it
+    has the user's number.
+    """
+    owners = (0, os.geteuid())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = folder.resolve()
+        for place in (one for one in (folder, *folder.parents) if one.exists()):
+            status = place.stat()
+            writers = stat.S_IWOTH if status.st_gid in owners else stat.S_IWOTH | stat.S_IWGRP
+            is_guarded = place != folder and status.st_mode & stat.S_ISVTX
+            if status.st_uid not in owners or (status.st_mode & writers and not is_guarded):
+                return False
+    except (OSError, ValueError):  # ValueError: the name contains a NUL
+        return False
+    return True
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be created in a folder, which is created too, for this user alone."""
+    try:
+        for missing in [one for one in (*reversed(folder.parents), folder) if not one.exists()]:
+            missing.mkdir(mode=0o700, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except (OSError, ValueError):  # ValueError: the name contains a NUL
         return False
@@ -177,9 +202,7 @@ def physics_digest(package: Path = _PACKAGE) -> str:
     """SHA-256 of the package's syntax, without docstrings, which identifies the version of the physics."""
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
-        tree = ast.parse(source.read_bytes())
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
-                node.body = node.body[1:]
-        digest.update(f"{source.name}\0{ast.dump(tree)}".encode())
+        tree = syntax_of(source.read_bytes())
+        assert tree is not None
+        digest.update(f"{source.name}\0{dumped(tree)}".encode())
     return digest.hexdigest()

@@ -35,7 +35,10 @@ from activefail.simulators.user_code import (
 from activefail.space import Array, DesignSpace
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
-"""Columns of an exported table besides variables and margins."""
+"""Columns of activefail's tables besides variables, fixed quantities and margins."""
+
+_COUNTED = ("numerical_failure", "in_flight")
+"""What `Run.counts` counts besides outcomes."""
 
 
 def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
@@ -287,19 +290,23 @@ def _learner_references(settings: CampaignSettings) -> dict[str, str]:
 
 
 def _check_names(space: DesignSpace, simulator: Simulator) -> None:
-    """Check that variables, margins and fixed columns have distinct names in tables.
+    """Check that every name of a campaign has one meaning: tables have one column of a name.
 
     Raises:
-        InputError: naming the key.
+        InputError: naming the key, the name and its other meaning.
     """
-    for name in space.names:
-        if name in _COLUMNS:
-            raise InputError(f"space.{name}: the exported table already has a column of this name; rename it.")
-        if name in predicted_columns(simulator.outcomes):
-            raise InputError(f"space.{name}: `activefail predict` adds a column of this name; rename it.")
-    for name in simulator.margins:
-        if name in (*space.names, *_COLUMNS):
-            raise InputError(f"simulator.margins: the exported table already has a column {name!r}; rename the margin.")
+    predicted, former = predicted_columns(simulator.outcomes), [f"former_{name}" for name in simulator.margins]
+    columns = (*_COLUMNS, "former_outcome", "former_cause", *former)
+    meanings = dict.fromkeys(columns, "a column of tables of simulations")
+    meanings |= dict.fromkeys(predicted, "a column that `activefail predict` adds")
+    named = {name: f"space.{name}" for name in (*space.names, *space.fixed)}
+    for name, key in (*named.items(), *((name, "simulator.margins") for name in simulator.margins)):
+        if name in meanings:
+            raise InputError(f"{key}: {name!r} is already the name of {meanings[name]}; rename it.")
+        meanings[name] = f"the quantity {key}"
+    for name in simulator.outcomes:
+        if name in _COUNTED:
+            raise InputError(f"simulator.outcomes: {name!r} is already the name of a count of simulations; rename it.")
 
 
 def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:

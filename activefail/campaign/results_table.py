@@ -14,14 +14,15 @@ from activefail.csv_table import Table
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 
 _ID, _OUTCOME, _CAUSE, _SECONDS = "id", "outcome", "cause", "seconds"
 
-_SAME_DESIGN = 1e-9
-"""Largest difference of a variable from the design that was handed out, in units of its range.
+_SAME, _SIMILAR = 1e-5, 1e-2
+"""Distances (`_distance`) within which a value is the one handed out: with any digits, and rounded to `_ROUNDED`."""
 
-Programs print numbers with fewer digits than they compute with."""
+_ROUNDED = 5e-5
+"""Relative error of a value of five significant digits, the fewest that programs and spreadsheets write by default."""
 
 
 @dataclass(frozen=True)
@@ -113,15 +114,34 @@ class ResultTable:
             InputError: naming row, column and both values.
         """
         place = {number: k for k, number in enumerate(ids.tolist())}
-        for row, (number, told) in enumerate(zip(self.ids.tolist(), self.designs.tolist(), strict=True)):
+        for row, (number, told) in enumerate(zip(self.ids.tolist(), self.designs, strict=True)):
             if number not in place:
                 continue  # `tell` reports an unknown id
-            for parameter, value, asked in zip(
-                campaign.space.parameters, told, designs[place[number]].tolist(), strict=True
-            ):
-                if abs(value - asked) > _SAME_DESIGN * (parameter.high - parameter.low):  # false for NaN
-                    rule = f"must be {asked!r}, as handed out with id {number} (use `add` for another design)"
-                    raise self.table.broken(row, parameter.name, rule, value)
+            asked, given = designs[place[number]], ~np.isnan(told)
+            if np.array_equal(told[given], asked[given]):
+                continue
+            distance = _distance(campaign.space, told, designs)[:, given]
+            own = distance[place[number]]
+            rounded = (np.abs(told - asked) <= _ROUNDED * np.abs(asked))[given] & (own <= _SIMILAR)
+            is_same = rounded | (own <= _SAME)
+            # Two designs that differ by no more than their rounding may have been exchanged.
+            is_nearest = own.max() <= distance.max(axis=1).min()
+            if not (is_same.all() and is_nearest):
+                worst = np.flatnonzero(given)[int(np.argmax(np.where(is_same, 0.0, 1.0) + own))]
+                rule = f"must be {float(asked[worst])!r}, as handed out with id {number} (use `add` for another design)"
+                raise self.table.broken(row, campaign.space.names[worst], rule, float(told[worst]))
+
+
+def _distance(space: DesignSpace, design: Array, designs: Array) -> Array:
+    """Distances of a design, (d,), from others, (k, d), by variable: the larger of two scales, infinite for no number.
+
+    One is the variable's own, in standard deviations, on which a log-uniform value is not near another decade. The
+    other is the range, on which values far out in a tail differ too.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):  # no logarithm of a negative value
+        own = np.abs(space.standardised(design[None]) - space.standardised(designs))
+    distance = np.maximum(own, np.abs(design - designs) / (space.high - space.low))
+    return np.where(np.isnan(distance), np.inf, distance)
 
 
 def _require_result(campaign: Campaign, table: Table) -> None:
@@ -168,7 +188,7 @@ def _designs(campaign: Campaign, table: Table) -> Array:
     for name, value in campaign.space.fixed.items():
         if name in table.columns:
             for row, number in enumerate(table.numbers([name])[:, 0].tolist()):
-                if abs(number - value) > _SAME_DESIGN * abs(value):
+                if abs(number - value) > _ROUNDED * abs(value):
                     raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return designs
 

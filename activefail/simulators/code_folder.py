@@ -1,14 +1,24 @@
-"""The folder of the user's code: imports from it, and a digest of its sources."""
+"""The folder of the user's code: imports from it, and a digest of what they load."""
 
 import ast
 import hashlib
-import importlib.util
+import importlib
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
+
+from activefail.syntax import dumped, syntax_of
+
+
+class SourceLoader(SourceFileLoader):
+    """Compiles a module from its source; bytecode may be older than the source by less than a second, or a forgery."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """The code of the module."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
 
 
 class _FolderFinder:
@@ -35,13 +45,17 @@ class _FolderFinder:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The top-level module or package, if it is in the folder; Python finds the modules inside a package."""
-        if path is None and (spec := PathFinder.find_spec(name)) is not None:
-            location = next(iter(spec.submodule_search_locations or []), spec.origin)
-            if location and Path(location).parent == self.folder:
-                self._modules.add(name)
-                return spec
-        return None
+        """The module or package, if its top-level package is in the folder."""
+        if (spec := PathFinder.find_spec(name, path)) is None:
+            return None
+        location = next(iter(spec.submodule_search_locations or []), spec.origin)
+        if path is None and location and Path(location).parent == self.folder:
+            self._modules.add(name)
+        if name.partition(".")[0] not in self._modules:
+            return None
+        if isinstance(spec.loader, SourceFileLoader):
+            spec.loader = SourceLoader(spec.loader.name, spec.loader.path)
+        return spec
 
     def remove(self) -> None:
         """Remove the finder and the folder from Python's search, and unload the modules that it found."""
@@ -53,6 +67,10 @@ class _FolderFinder:
         sys.meta_path.remove(self)
 
 
+_compiled: dict[Path, str] = {}
+"""Digests of the compiled modules that this process has loaded."""
+
+
 def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
     """Make the modules of a folder importable, in place of those of the previous folder.
 
@@ -60,8 +78,14 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
 
     Args:
         folder: the folder of the user's code.
-        sources: digests of the sources to import; if one has changed since its import, all are imported again.
+        sources: digests of the files to import; if one has changed since its import, all are imported again.
+
+    Raises:
+        ImportError: if one that has changed is compiled, which a process can load only once.
     """
+    for path, digest in sources.items():
+        if path.suffix != ".py" and _compiled.setdefault(path, digest) != digest:
+            raise ImportError(f"{path} has changed since this process loaded it; start Python again")
     finder = next((finder for finder in sys.meta_path if isinstance(finder, _FolderFinder)), None)
     if finder is not None:
         changed = any(finder.sources.get(path, digest) != digest for path, digest in sources.items())
@@ -70,10 +94,6 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
             finder = None
     if finder is None:
         finder = _FolderFinder(folder)
-    for path in sources.keys() - finder.sources.keys():
-        # Python would reuse the bytecode of a source that changed within the same second at the same length.
-        with suppress(OSError):
-            Path(importlib.util.cache_from_source(path)).unlink()
     finder.sources.update(sources)
     importlib.invalidate_caches()
 
@@ -81,23 +101,38 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
 # --- sources ------------------------------------------------------------------------------------------------------
 
 
+def file_of(module: str, folder: Path) -> Path | None:
+    """The file that an import of a module from the folder loads: a package, a compiled module, or a source."""
+    *parents, name = module.split(".")
+    spec = PathFinder.find_spec(name, [str(folder.joinpath(*parents))])
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
 def sources_of(path: Path, folder: Path) -> dict[Path, str]:
-    """Digests of a source and of all sources in the folder that it imports, directly or not; empty without a file."""
+    """Digests of a module's file and of all files in the folder that it imports, directly or not; empty without a file.
+
+    What a compiled module imports cannot be read: all modules beside it count.
+    """
+    importlib.invalidate_caches()
     digests: dict[Path, str] = {}
     pending = [path]
     while pending:
         path = pending.pop()
         if path not in digests and path.is_file():
-            text = path.read_bytes()
-            digests[path] = sha256(text)
-            for name in _names_imported(text, path.parent.relative_to(folder).parts):
-                stem = folder.joinpath(*name.split("."))
-                pending += [stem.with_suffix(".py"), stem / "__init__.py"]
+            content = path.read_bytes()
+            package = path.parent.relative_to(folder).parts
+            tree = syntax_of(content) if path.suffix == ".py" else None
+            digests[path] = sha256(content if tree is None else dumped(tree).encode())
+            if path.suffix == ".py":
+                names = set() if tree is None else _names_imported(tree, package)
+            else:
+                names = {".".join((*package, beside.name.partition(".")[0])) for beside in path.parent.iterdir()}
+            pending += filter(None, (file_of(name, folder) for name in names))
     return digests
 
 
 def digest_of(sources: Mapping[Path, str], folder: Path) -> str:
-    """One digest for all sources in a folder; for a single source, the digest of its bytes."""
+    """One digest for all files of modules in a folder; for a single file, its own."""
     if len(sources) == 1:
         return next(iter(sources.values()))
     lines = sorted(f"{path.relative_to(folder)} {digest}\n" for path, digest in sources.items())
@@ -109,16 +144,19 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _names_imported(text: bytes, package: tuple[str, ...]) -> set[str]:
+def _names_imported(tree: ast.Module, package: tuple[str, ...]) -> set[str]:
     """Full names that a source in a package imports: modules, their parent packages, and names that may be modules."""
     names: set[str] = set()
-    # The import reports a source that cannot be parsed.
-    with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
-        for node in ast.walk(ast.parse(text)):
-            match node:
-                case ast.Import(names=aliases):
-                    names.update(alias.name for alias in aliases)
-                case ast.ImportFrom(module=module, names=aliases, level=level):
-                    around = package[: len(package) + 1 - level] if level else ()
-                    names.update(".".join(filter(None, (*around, module, alias.name))) for alias in aliases)
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=aliases):
+                names.update(alias.name for alias in aliases)
+            case ast.ImportFrom(module=module, names=aliases, level=level):
+                around = package[: len(package) + 1 - level] if level else ()
+                names.update(".".join(filter(None, (*around, module, alias.name))) for alias in aliases)
+            case ast.Call(
+                func=ast.Name(id="import_module" | "__import__") | ast.Attribute(attr="import_module"),
+                args=[ast.Constant(value=str(name)), *_],
+            ):
+                names.add(".".join((*package, name[1:])) if name.startswith(".") else name)
     return {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}

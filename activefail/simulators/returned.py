@@ -1,6 +1,9 @@
 """Input and output of a custom simulator: one design as a dictionary, and its result."""
 
 from collections.abc import Mapping
+from decimal import Decimal
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +41,7 @@ def read_answer(
     elif levels and not isinstance(answer, Mapping):
         answer = _of_limit_state(answer, outcomes, margins[0], levels)
     if not isinstance(answer, Mapping):
-        raise UnusableAnswerError(
-            f"the answer must be the name of an outcome, or a dictionary with `outcome`, got {answer!r}"
-        )
+        raise UnusableAnswerError(f"{_ways(outcomes)}, got {answer!r}")
     unknown = set(answer) - {"outcome", "margins"}
     if unknown:
         raise UnusableAnswerError(
@@ -69,33 +70,54 @@ def read_answer(
     )
 
 
-def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str, levels: tuple[float, ...]) -> object:
-    """The outcome and the margin of an answer that is the margin alone; otherwise the answer.
+def _ways(outcomes: tuple[str, ...]) -> str:
+    return f"the answer must be the name of an outcome ({', '.join(outcomes)}), or a dictionary with `outcome`"
+
+
+def _of_limit_state(
+    answer: object, outcomes: tuple[str, ...], margin: str, levels: tuple[float, ...]
+) -> dict[str, object]:
+    """The outcome and the margin of an answer that is the margin alone.
 
     Raises:
-        UnusableAnswerError: if it is NaN.
+        UnusableAnswerError: if it is no number, or NaN.
     """
-    if isinstance(answer, bool) or not isinstance(answer, int | float | np.integer | np.floating):
-        return answer
-    value = _number(margin, answer)
+    number = _one_number(answer)
+    if number is None:
+        raise UnusableAnswerError(f"{_ways(outcomes)}, or the margin {margin} as one number, got {answer!r}")
+    value = _number(margin, number)
     if np.isnan(value):
         raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must be a number")
     return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
+
+
+def _one_number(value: object) -> Any:
+    """The number in a scalar, or in an array or list of one; None if there is no number, more than one, or a bool."""
+    try:
+        array = np.asarray(value.detach() if hasattr(value, "detach") else value)  # a tensor with a gradient
+    except Exception:  # whatever the value's own conversion raises
+        return None
+    if array.size != 1 or np.ma.is_masked(value):
+        return None
+    number = array.reshape(-1)[0]
+    # NumPy counts differences of times among the integers; to Python, booleans are whole numbers.
+    is_number = isinstance(number, Real | Decimal)
+    return number if is_number and not isinstance(number, bool | np.timedelta64) else None
 
 
 def _number(name: str, value: object) -> float:
     """A margin as float64. NaN and infinity are values; a finite number must not become one.
 
     Raises:
-        UnusableAnswerError: if it is not a real number, or too large.
+        UnusableAnswerError: if it is not one real number, or too large.
     """
-    # NumPy counts differences of times among the integers.
-    if isinstance(value, bool | np.timedelta64) or not isinstance(value, int | float | np.integer | np.floating):
-        raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
+    given = _one_number(value)
+    if given is None:
+        raise UnusableAnswerError(f"margins.{name}: must be one number, NaN where it is undefined, got {value!r}")
     try:
-        number = float(value)
+        number = float(given)
     except OverflowError:  # an integer
         number = np.inf
-    if np.isinf(number) and value not in (np.inf, -np.inf):
+    if np.isinf(number) and given not in (np.inf, -np.inf):
         raise UnusableAnswerError(f"margins.{name}: must fit a float64, at most 1.8e308 in size, got a larger number")
     return number

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from activefail.errors import InputError, description_of
-from activefail.simulators.code_folder import digest_of, import_from, sha256, sources_of
+from activefail.simulators.code_folder import SourceLoader, digest_of, file_of, import_from, sha256, sources_of
 from activefail.visible import visible
 
 SIMULATOR_KEY = "simulator.python"
@@ -24,11 +24,11 @@ MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.pyt
 def load_function(
     reference: str, code: Path | None, key: str, run: Path | None = None
 ) -> tuple[Callable[..., Any], str]:
-    """The function and the SHA-256 of its module's source, "" if the module has no file.
+    """The function and a digest of its module's code, "" if the module has no file.
 
     The module is searched in the folder of the user's code first, then on Python's path. Its imports are searched in
     the opposite order, so that no user module shadows a library. The digest also covers the modules that it imports
-    from the folder.
+    from the folder, compiled ones too. Of a source it covers the syntax, without comments and docstrings.
 
     Args:
         reference: the function, as "module:function".
@@ -45,11 +45,11 @@ def load_function(
             "you name its folder with --code."
         )
     module_name, _, name = reference.partition(":")
-    file = _file_of(module_name, code)
     try:
         # Naming the run folder as --code, or a folder inside it, permits its code.
-        module, digest = _load_module(module_name, file, code, None if run is None or lies_in(code, run) else run)
+        module, digest = _load_module(module_name, code, None if run is None or lies_in(code, run) else run)
     except ModuleNotFoundError as error:
+        file = code / Path(*module_name.split(".")).with_suffix(".py")
         if not file.is_file() and error.name and f"{module_name}.".startswith(f"{error.name}."):
             raise InputError(f"{key}: there is no module {module_name!r}; looked for {file}.") from None
         raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(error))}.") from error
@@ -73,21 +73,23 @@ class _NeverRunError(Exception):
     """A module lies in a folder from which no code is run."""
 
 
-def _load_module(name: str, file: Path, code: Path, forbidden: Path | None) -> tuple[ModuleType, str]:
-    """A module and the digest of its source: from the file if it exists, otherwise from Python's path.
+def _load_module(name: str, code: Path, forbidden: Path | None) -> tuple[ModuleType, str]:
+    """A module and the digest of its code: from the folder of the code if it is there, otherwise from Python's path.
 
     Raises:
         _NeverRunError: if it lies in the folder `forbidden`.
     """
-    source = _source_at(file)
-    if source == file and forbidden and lies_in(file, forbidden):
+    found = file_of(name, code)
+    # A package is imported by its name, for the modules in it.
+    file = found if found is not None and found.name.partition(".")[0] != "__init__" else None
+    if file is not None and forbidden and lies_in(file, forbidden):
         raise _NeverRunError(file)
-    sources = sources_of(source, code)
+    sources = {} if found is None else sources_of(found, code)
     import_from(code, sources)
     with _current_folder_kept():
-        module = _module_from_file(file, name) if source == file else _module_from_path(name, forbidden)
+        module = _module_from_path(name, forbidden) if file is None else _module_from_file(file, name)
     origin = Path(module.__file__) if module.__file__ else None
-    if source in (file, origin):
+    if sources and found in (file, origin):
         return module, digest_of(sources, code)
     return module, sha256(origin.read_bytes()) if origin and origin.is_file() else ""
 
@@ -98,31 +100,27 @@ def digest_without_running(reference: str, code: Path) -> str:
     Returns:
         "" if the folder has no such module.
     """
-    module_name = reference.partition(":")[0]
-    sources = sources_of(_source_at(_file_of(module_name, code)), code)
-    return digest_of(sources, code) if sources else ""
-
-
-def _file_of(module_name: str, code: Path) -> Path:
-    return code / Path(*module_name.split(".")).with_suffix(".py")
-
-
-def _source_at(file: Path) -> Path:
-    """The source of a module in the folder of the user's code: its file, or that of the package of its name."""
-    return file if file.is_file() else file.with_suffix("") / "__init__.py"
+    file = file_of(reference.partition(":")[0], code)
+    return "" if file is None else digest_of(sources_of(file, code), code)
 
 
 def _module_from_file(file: Path, name: str) -> ModuleType:
-    """The module of a file, under a name unique to the file: two campaigns may have modules of the same name."""
-    unique = f"activefail_custom_{sha256(str(file.resolve()).encode())[:12]}_{name.replace('.', '_')}"
-    spec = importlib.util.spec_from_file_location(unique, file)
+    """The module of a file; a source's under a name unique to the file: two campaigns may have modules of one name."""
+    package, _, last = name.rpartition(".")
+    # A compiled module knows its name.
+    loader = None
+    if file.suffix == ".py":
+        last = f"activefail_custom_{sha256(str(file.resolve()).encode())[:12]}_{last}"
+        loader = SourceLoader(".".join(filter(None, (package, last))), str(file))
+    unique = ".".join(filter(None, (package, last)))
+    spec = importlib.util.spec_from_file_location(unique, file, loader=loader)
     assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     # As an import does: dataclasses and numba look their module up there.
     sys.modules[unique] = module
     try:
-        # Its loader might reuse the bytecode of a source that changed within the same second.
-        exec(compile(file.read_bytes(), file, "exec", dont_inherit=True), module.__dict__)
+        spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[unique]
         raise

@@ -97,6 +97,53 @@ def test_kernels_in_another_cache_are_kept_by_the_sources_digest(another_cache: 
     assert list(folder.rglob("pulse.ground_acceleration*.nbi"))
 
 
+@pytest.mark.parametrize(
+    ("mode", "parent", "kept"),
+    [
+        (0o755, 0o755, True),
+        (0o755, 0o1777, True),
+        (0o1777, 0o755, False),
+        (0o777, 0o755, False),
+        (0o755, 0o777, False),
+    ],
+)
+def test_kernels_are_kept_only_where_no_other_user_may_write(
+    tmp_path: Path, mode: int, parent: int, kept: bool
+) -> None:
+    folder = tmp_path / "parent" / "cache"
+    folder.mkdir(parents=True)
+    folder.chmod(mode)
+    folder.parent.chmod(parent)
+    for _ in range(2):
+        with kept_kernels(folder):
+            kernel = njit(cache=True)(lambda x: x + 1.0)
+        assert kernel(2.0) == 3.0
+    assert bool(list(folder.rglob("*.nbi"))) is kept
+
+
+def test_a_folder_that_is_created_for_kernels_is_private_whatever_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        with kept_kernels(tmp_path / "one" / "two"):
+            kernel = njit(cache=True)(lambda x: x + 1.0)
+    finally:
+        os.umask(before)
+    assert kernel(2.0) == 3.0
+    assert list(tmp_path.rglob("*.nbi"))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give a folder away")
+@pytest.mark.parametrize("which", ["cache", "parent"])
+def test_kernels_are_not_kept_in_another_user_s_folder(tmp_path: Path, which: str) -> None:
+    folder = tmp_path / "parent" / "cache"
+    folder.mkdir(parents=True)
+    os.chown(folder if which == "cache" else folder.parent, 12345, 0)
+    with kept_kernels(folder):
+        kernel = njit(cache=True)(lambda x: x + 1.0)
+    assert kernel(2.0) == 3.0
+    assert not list(folder.rglob("*.nbi"))
+
+
 def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
     code = "import sys; from activefail.cli import program; program()"
     design = ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--h-sl-ratio", "0.8", "--h-rim-ratio", "0.1"]

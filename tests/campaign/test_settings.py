@@ -1,6 +1,5 @@
 """Settings: the campaign runs what they state, and every mistake is named with file, key path, rule and value."""
 
-import hashlib
 import math
 import tomllib
 from pathlib import Path
@@ -19,6 +18,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.errors import InputError
+from activefail.simulators.user_code import digest_without_running
 
 SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
 
@@ -354,7 +354,7 @@ def test_a_function_beside_the_campaigns_file_says_what_the_classifier_sees(tmp_
     assert campaign.features.names == ("ratio[0]",)
     X = TABLE_1.latin_hypercube(4, np.random.default_rng(0))
     assert campaign.features.raw(X).tolist() == np.log(X[:, [0]] / X[:, [7]]).tolist()
-    assert campaign.sources == {"classifier.features.python": hashlib.sha256(OWN.encode()).hexdigest()}
+    assert campaign.sources == {"classifier.features.python": digest_without_running("mine:ratio", tmp_path)}
 
 
 @pytest.mark.parametrize(
@@ -428,9 +428,36 @@ def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() 
         *(
             (
                 f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
-                f"space.{name}: `activefail predict` adds a column of this name; rename it.",
+                f"space.{name}: {name!r} is already the name of a column that `activefail predict` adds; rename it.",
             )
             for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+        ),
+        *(
+            (
+                f"simulator = {{ command = 'a {{out}}', margins = ['g'] }}\nspace.x = {{low = 0.1, high = 0.2}}\n"
+                f"space.{name} = {{value = 1.0}}",
+                f"{key}: {name!r} is already the name of {meaning}; rename it.",
+            )
+            for name, key, meaning in (
+                ("id", "space.id", "a column of tables of simulations"),
+                ("seconds", "space.seconds", "a column of tables of simulations"),
+                ("outcome", "space.outcome", "a column of tables of simulations"),
+                ("cause", "space.cause", "a column of tables of simulations"),
+                ("former_g", "space.former_g", "a column of tables of simulations"),
+                ("p_failure", "space.p_failure", "a column that `activefail predict` adds"),
+                ("g", "simulator.margins", "the quantity space.g"),
+            )
+        ),
+        (
+            "simulator = { command = 'a {out}', outcomes = ['safe', 'in_flight'] }\nspace.x = {low = 0.1, high = 0.2}",
+            "simulator.outcomes: 'in_flight' is already the name of a count of simulations; rename it.",
+        ),
+        *(
+            (
+                f"simulator = {{ command = 'a {{out}}', margins = ['{name}'] }}\nspace.x = {{low = 0.1, high = 0.2}}",
+                f"simulator.margins: {name!r} is already the name of",
+            )
+            for name in ("id", "seconds", "p_safe", "x")
         ),
     ],
 )

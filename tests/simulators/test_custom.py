@@ -1,6 +1,5 @@
 """Custom simulators: their input, their permitted answers, and the treatment of other answers."""
 
-import hashlib
 import importlib
 import json
 import os
@@ -13,10 +12,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import torch
 from commandline import activefail, record, refused, sets, started, table, wait_for
 from patience import PATIENCE, Clock, until
 
@@ -30,6 +33,7 @@ from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER, UnusableAnswerError
 from activefail.simulators.returned import read_answer
+from activefail.simulators.user_code import digest_without_running
 from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
@@ -122,15 +126,15 @@ def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
 
 
 UNUSABLE = {
-    "None": "must be the name of an outcome, or a dictionary with `outcome`, got None",
+    "None": r"must be the name of an outcome \(safe, damage, failure\), or a dictionary with `outcome`, got None",
     "{}": "outcome: must be one of safe, damage, failure, got None",
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
     "{'outcome': 'safe', 'margin': {}}": "may contain only outcome and margins, got 'margin'",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a dictionary of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
-    "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
-    "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
+    "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be one number, .*, got None",
+    "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be one number, .*, got True",
     "{'outcome': 'safe', 'margins': {'gap': -(10**400)}}": "margins.gap: must fit",
 }
 
@@ -751,10 +755,11 @@ def test_worker_processes_take_none_of_python_s_own_modules_from_the_current_fol
 def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
-    (mine / "model.py").write_text(MODEL + "# other\n")
+    before = digest_without_running("model:run", mine)
+    (mine / "model.py").write_text(MODEL + "other = 1\n")
     result = activefail("resume", run, "--budget", "20", "--code", mine)
     assert result.code == 0
-    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
+    digests = [digest[:8] for digest in (before, digest_without_running("model:run", mine))]
     assert result.err == (
         "warning: Your code has changed since the last batch: model:run (simulator.python) or a module "
         f"that it imports, {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
@@ -775,8 +780,9 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
     before = sets(run)
     assert {name.split("-")[0] for name in before} >= {"validation", "test", "static", "verification"}
     # No design is beyond this limit, so that none is a failure.
+    former = digest_without_running("model:run", mine)
     (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
-    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, (mine / "model.py").read_text())]
+    digests = [digest[:8] for digest in (former, digest_without_running("model:run", mine))]
     changed = f"was simulated with different code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
     # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
     unverified = "a verification of the classifier's error"
@@ -835,8 +841,8 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
 MISTAKES = {
     'python = "model:run"': ('python = "modle:run"', "simulator.python: there is no module 'modle'"),
     "model:run": ("model:ruin", "model.py has no function 'ruin'"),
-    'margins = ["gap"]': ('margins = ["T"]', "simulator.margins: the exported table already has a column 'T'"),
-    "T = {": ("seconds = {", "space.seconds: the exported table already has a column"),
+    'margins = ["gap"]': ('margins = ["T"]', "simulator.margins: 'T' is already the name of the quantity space.T"),
+    "T = {": ("seconds = {", "space.seconds: 'seconds' is already the name of a column of tables"),
     'boundary = "damage"': ('boundary = "collapse"', "acquisition.boundary: must be one of damage, failure"),
     'drift = { low = 0.0, high = 4.0, unit = "m" }\nT = { low = 1.0, high = 3.0, distribution = "log_uniform" }': (
         "T = { value = 3.0 }",
@@ -1094,11 +1100,37 @@ def test_a_limit_state_returns_its_margin_alone_which_its_levels_give_an_outcome
     assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[float(value)]])
 
 
+ONE_NUMBER = (
+    *(kind(0.5) for kind in (float, np.float64, np.float32, np.float16, np.longdouble, Fraction, Decimal, np.array)),
+    *(np.array(0.5, dtype=kind).reshape(shape) for kind in (float, object) for shape in ((1,), (1, 1))),
+    *(torch.tensor([0.5], requires_grad=gradient) for gradient in (False, True)),
+    *(pd.Series([0.5]), [0.5], (0.5,), np.ma.array([0.5])),
+)
+NO_NUMBER = (
+    *(True, np.bool_(True), np.array([True]), None, [0.5, 0.6], np.array([0.5, 0.6]), np.empty(0), [], b"0.5", 1j),
+    *(np.timedelta64(1), np.datetime64("2020"), np.ma.masked, np.ma.array([0.5], mask=[True]), {0.5}, [[1], [2, 3]]),
+)
+
+
+@pytest.mark.parametrize("value", ONE_NUMBER, ids=repr)
+def test_one_number_is_a_number_whatever_holds_it(value: object) -> None:
+    for given in (value, {"outcome": "safe", "margins": {"g": value}}):
+        assert read_answer(given, ("safe", "failure"), ("g",), (0.0,), 0.0).margins.tolist() == [[0.5]]
+
+
+@pytest.mark.parametrize("value", NO_NUMBER, ids=repr)
+def test_what_is_not_one_number_is_refused_with_what_to_return(value: object) -> None:
+    with pytest.raises(UnusableAnswerError, match=r"\(safe, failure\), or .*, or the margin g as one number, got"):
+        read_answer(value, ("safe", "failure"), ("g",), (0.0,), 0.0)
+    with pytest.raises(UnusableAnswerError, match=r"margins\.g: must be one number, NaN where it is undefined, got"):
+        read_answer({"outcome": "safe", "margins": {"g": value}}, ("safe", "failure"), ("g",), (0.0,), 0.0)
+
+
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
     with pytest.raises(UnusableAnswerError, match="the margin g is NaN"):
         read_answer(float("nan"), ("safe", "failure"), ("g",), (0.0,), 0.0)
     for value, margins, levels in ((0.5, (), ()), (True, ("g",), (0.0,))):
-        with pytest.raises(UnusableAnswerError, match="must be the name of an outcome, or a dictionary"):
+        with pytest.raises(UnusableAnswerError, match=r"must be the name of an outcome \(safe, failure\), or"):
             read_answer(value, ("safe", "failure"), margins, levels, 0.0)
 
 
