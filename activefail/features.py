@@ -1,8 +1,10 @@
 """The classifier's features of a design: the paper's six, the variables, variables with physics, or custom ones."""
 
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -130,7 +132,8 @@ class CustomFeatures:
             InputError: if the function raises or does not return (n, m) numbers.
         """
         try:
-            returned = self.function(X.copy(), space)
+            with redirect_stdout(sys.stderr):
+                returned = self.function(X.copy(), space)
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a cancelled task and a panic of Rust code are no Exception

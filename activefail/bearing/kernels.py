@@ -70,7 +70,7 @@ def _folder() -> Path:
 
 
 def folder_of_kernels(package: Path = _PACKAGE) -> Path:
-    """The folder for the kernels of these sources and compiler options.
+    """The folder for the kernels of these sources and compiler options; it cannot be created if none is private.
 
     Kernels of earlier sources next to the package are deleted; their folders stay, because a process that began before
     the change may still save there.
@@ -83,7 +83,7 @@ def folder_of_kernels(package: Path = _PACKAGE) -> Path:
     bases = [*([pycache] if os.access(package, os.W_OK) else []), user]
     if config.CACHE_DIR:
         bases = [Path(config.CACHE_DIR)]
-    base = next((base for base in bases if _is_private(base)), bases[-1])
+    base = next((base for base in bases if _is_private(base)), Path(os.devnull))
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
         digest.update(source.name.encode() + b"\0" + source.read_bytes())
@@ -113,7 +113,9 @@ def kept_kernels(folder: Path) -> Iterator[None]:
     before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching
     config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), UserProvidedCacheLocator.__name__
     place = folder / UserProvidedCacheLocator.get_suitable_cache_subpath(__file__)
-    kernel_type.enable_caching = _keep if _is_writable(place) and _is_private(place) else _do_not_keep
+    kernel_type.enable_caching = (
+        _keep if _is_private(folder) and _is_writable(place) and _is_private(place) else _do_not_keep
+    )
     try:
         yield
     finally:

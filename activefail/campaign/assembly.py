@@ -1,7 +1,8 @@
 """Build a campaign from its settings: design space, simulator and features."""
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -152,7 +153,8 @@ class Campaign:
             InputError: if there is any, in place of its error.
         """
         try:
-            yield
+            with redirect_stdout(sys.stderr) if self.learner else nullcontext():
+                yield
         except Exception as error:
             if not self.learner or isinstance(error, InputError):
                 raise
@@ -254,6 +256,8 @@ def _simulator(
         case sections.CommandSimulatorSettings():
             folder = (run or Path.cwd()) / SIMULATIONS
             lost |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
+            lost |= {"templates": tuple(spec.template), "copies": tuple(spec.copied)}
+            lost |= {"pattern": spec.pattern, "output": spec.output, "cores": spec.cores}
             return CommandSimulator(
                 space, spec.command, code, folder, *returns, levels=spec.levels_of_number, **lost
             ), {}

@@ -28,7 +28,12 @@ def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
         case [name, *_]:
             section = settings.model_fields[name].annotation
     # An optional section's type includes None.
-    return [key for one in get_args(section) or (section,) for key in getattr(one, "model_fields", ())]
+    return [key for one in get_args(section) or (section,) if hasattr(one, "model_fields") for key in _names(one)]
+
+
+def _names(section: type[BaseModel]) -> list[str]:
+    """The keys of a section, as a file has them."""
+    return [field.alias or name for name, field in section.model_fields.items()]
 
 
 def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> str:
@@ -41,7 +46,7 @@ def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> st
             for other, section in KINDS[name].items():
                 if key == other:
                     return f"cannot be combined with `{present}`"
-                if key in section.model_fields:
+                if key in _names(section):
                     return f"belongs to `{other}`; cannot be combined with `{present}`"
     near = get_close_matches(key, _keys(settings, path), 1)
     return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"

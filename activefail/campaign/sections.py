@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -340,20 +341,52 @@ class PythonSimulatorSettings(CustomSimulatorSettings):
     renew: int | None = Field(None, ge=1, le=1_000_000)
 
 
+_Paths = Annotated[list[str], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)]
+"""One path or a list of them."""
+
+
 class CommandSimulatorSettings(CustomSimulatorSettings):
     """A simulator that is a program (`activefail.simulators.command`).
 
     Attributes:
         command: command line, with the variables in braces.
+        template: input files with variables in braces, in the folder of the campaign file. Each is written to the run's
+            folder with the values, under its name without `.in`.
+        copy: files and folders, in the folder of the campaign file, that are copied to the run's folder.
+        pattern: regular expression with one group. Its last match in `output` is the answer, the only margin.
+        output: file in the run's folder that the pattern is searched in.
+        cores: cores of one simulation; the program's OMP_NUM_THREADS, and as many fewer simulations at a time.
         retries: how often a failed simulation is repeated.
         keep: whether the folders of successful simulations are kept.
         largest_file: largest file that the program may write [bytes].
     """
 
     command: str = Field(min_length=1)
+    template: _Paths = Field([])
+    copied: _Paths = Field([], alias="copy")
+    pattern: str | None = None
+    output: str = "stdout.txt"
+    cores: int = Field(1, ge=1, le=10_000)
     retries: int = Field(0, ge=0, le=100)
     keep: bool = True
     largest_file: int = Field(10_000_000_000, ge=1_000_000, le=10**15)
+
+    @field_validator("pattern")
+    @classmethod
+    def _has_one_group(cls, pattern: str | None) -> str | None:
+        try:
+            groups = 1 if pattern is None else re.compile(pattern).groups
+        except re.error as error:
+            raise ValueError(f"must be a regular expression, but {error}, got {pattern!r}") from None
+        if groups != 1:
+            raise ValueError(f"must have one group in brackets, for the number, got {pattern!r}")
+        return pattern
+
+    @model_validator(mode="after")
+    def _answers_by_number(self) -> Self:
+        if self.pattern is not None and not self.levels_of_number:
+            raise ValueError("pattern: requires one margin, and two outcomes or stated levels")
+        return self
 
 
 class Sampling(Section):

@@ -206,7 +206,7 @@ class CampaignSettings(Section):
 
     def text(self) -> str:
         """The settings as TOML with all defaults, as frozen in a run folder."""
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, by_alias=True))
 
     def with_overrides(self, seed: int | None = None, budget: int | None = None) -> "CampaignSettings":
         """The settings with the seed and budget of a command line.
@@ -223,7 +223,7 @@ class CampaignSettings(Section):
         Raises:
             InputError: if one breaks a rule.
         """
-        values = self.model_dump(mode="json")
+        values = self.model_dump(mode="json", by_alias=True)
         for key, value in changes.items():
             *sections, name = key.split(".")
             section = values

@@ -15,6 +15,7 @@ from activefail.simulators.interface import (
     Results,
     Simulator,
     UnusableAnswerError,
+    design_in_words,
     settled,
     unanswered,
 )
@@ -41,7 +42,7 @@ def answer(simulator: Simulator, X: Array) -> Results:
         if _is_ctrl_c(error):
             raise
         if len(X) == 1:
-            return unanswered(simulator, 1, _cause(error), _description_of(X[0], error))
+            return unanswered(simulator, 1, _cause(error), _description_of(design_in_words(simulator, X[0]), error))
     # One row at a time: a bad design must not fail the others.
     return Results.concatenate([answer(simulator, X[row : row + 1]) for row in range(len(X))])
 
@@ -78,7 +79,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> Results:
     faults = {}
     for row in np.flatnonzero(~good).tolist():
         got = f"outcome {results.outcome[row]}, cause {results.cause[row]}, seconds {results.seconds[row]}"
-        faults[row] = f"design {X[row].tolist()}: the answer must have {rule}, got {got}"
+        faults[row] = f"{design_in_words(simulator, X[row])}: the answer must have {rule}, got {got}"
     return Results(
         np.where(good, outcome, NUMERICAL_FAILURE).astype(np.int8),
         np.where(good, cause, UNUSABLE_ANSWER).astype(np.int8),
@@ -105,13 +106,13 @@ def _cause(error: BaseException) -> int:
             return RAISED
 
 
-def _description_of(design: Array, error: BaseException) -> str:
+def _description_of(design: str, error: BaseException) -> str:
     if isinstance(error, UnusableAnswerError):
-        return f"design {design.tolist()}: {error}"
+        return f"{design}: {error}"
     try:
         description = description_of(error)
     except KeyboardInterrupt as message_error:
         if _is_ctrl_c(message_error):
             raise
         description = f"{type(error).__name__}, whose message cannot be read (KeyboardInterrupt)"
-    return f"design {design.tolist()}: {description}{place_of(error)}"
+    return f"{design}: {description}{place_of(error)}"

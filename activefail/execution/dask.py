@@ -13,7 +13,7 @@ from activefail.errors import ActivefailError, InputError, SimulationError
 from activefail.execution.answering import answer, finished
 from activefail.execution.guards import Guards
 from activefail.execution.local import taken
-from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
+from activefail.simulators.interface import WORKER_DIED, Results, Simulator, design_in_words, unanswered
 from activefail.space import Array
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ class DaskExecutor:
         future, simulator, x, _ = flight
         match answer:
             case KilledWorker():
-                fault = f"design {x.tolist()}: its workers were lost in each of {TRIES} tries: {answer}"
+                fault = f"{design_in_words(simulator, x)}: its workers were lost in each of {TRIES} tries: {answer}"
                 return finished(simulator, unanswered(simulator, 1, WORKER_DIED, fault))
             case ActivefailError():
                 raise answer
@@ -195,7 +195,7 @@ class DaskExecutor:
             case BaseException():
                 # A worker without activefail or with another version.
                 raise SimulationError(
-                    f"The Dask cluster at {self._scheduler} could not simulate design {x.tolist()}: "
+                    f"The Dask cluster at {self._scheduler} could not simulate {design_in_words(simulator, x)}: "
                     f"{type(answer).__name__}: {' '.join(str(answer).split()).rstrip('.')}. "
                     "The workers need this machine's versions of activefail, Python and Dask."
                 ) from answer

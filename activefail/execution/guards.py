@@ -14,7 +14,7 @@ import numpy as np
 from activefail.errors import ActivefailError, SimulationError, description_of
 from activefail.execution.answering import answer
 from activefail.execution.processes import LostError, Worker
-from activefail.simulators.interface import RAISED, UNUSABLE_ANSWER, Results, Simulator, unanswered
+from activefail.simulators.interface import RAISED, UNUSABLE_ANSWER, Results, Simulator, design_in_words, unanswered
 from activefail.space import Array
 
 TRIES = 2
@@ -76,7 +76,11 @@ class Guards:
             ActivefailError: if the simulator raised one.
             StoppedError: after `stop`.
         """
-        design, contents, reasons = f"design {X[0].tolist()}: ", np.asarray(X, dtype=np.float64).tobytes(), []
+        design, contents, reasons = (
+            f"{design_in_words(simulator, X[0])}: ",
+            np.asarray(X, dtype=np.float64).tobytes(),
+            [],
+        )
         while True:
             loaded = self._ready(simulator)
             loaded.asked += 1

@@ -142,10 +142,10 @@ class ProcessExecutor(ThreadExecutor):
 
 
 def local_executor(simulator: Simulator, workers: int | None = None, time_limit: float | None = None) -> ThreadExecutor:
-    """The executor for a simulator on this machine; `workers=None` uses all cores.
+    """The executor for a simulator on this machine; `workers=None` uses all cores, for as many as each needs.
 
     Args:
         time_limit: most seconds per simulation; a compiled simulator limits its own steps and ignores it.
     """
-    workers = workers or os.cpu_count() or 1
+    workers = workers or max(1, (os.cpu_count() or 1) // getattr(simulator, "cores", 1))
     return ThreadExecutor(workers) if simulator.releases_gil else ProcessExecutor(workers, time_limit)

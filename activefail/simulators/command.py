@@ -5,10 +5,8 @@ import json
 import os
 import re
 import resource
-import shlex
 import shutil
 import signal
-import string
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -18,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.errors import InputError, signal_name
+from activefail.errors import InputError, reason_of, signal_name
 from activefail.files import end_of, make_folder
 from activefail.simulators.interface import Results, UnusableAnswerError
+from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, filled_file
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
@@ -29,12 +28,15 @@ LONGEST_EXCERPT = 300
 """Characters of a program's `stderr.txt` that a message quotes."""
 
 
-LONGEST_NUMBER = 100
-"""Largest width and precision in a format of a command: memory and time grow with both."""
-
-
 LARGEST_ANSWER = 1_000_000
 """Most bytes in an answer's file."""
+
+_LARGEST_OUTPUT = 100_000_000
+"""Most bytes in a file that a pattern is searched in."""
+
+_OWN_FILES = ("design.json", "stdout.txt", "stderr.txt", "answer.json")
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class CommandSimulator:
     The folder contains `design.json`, with the values of the variables and the fixed quantities, and the program's
     output (`stdout.txt`, `stderr.txt`). The command runs without a shell. In it, `{name}` is replaced by a value,
     `{here}` by the folder of the user's code, and `{out}` by the file to which the program writes its answer: a JSON
-    object with "outcome" and, optionally, "margins".
+    object with "outcome" and, optionally, "margins". The environment has the same: AF_HERE, AF_OUT, and AF_<name>.
 
     Attributes:
         space: design space.
@@ -56,6 +58,11 @@ class CommandSimulator:
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
         levels: of the only margin (see `read_answer`).
+        templates: input files, filled in and written to the folder under their names without `.in`.
+        copies: files and folders that are copied to the folder. Both are relative to `here`.
+        pattern: regular expression with one group, whose last match in `output` is the answer; None reads `{out}`.
+        output: a file in the folder.
+        cores: of one simulation.
     """
 
     space: DesignSpace
@@ -70,6 +77,11 @@ class CommandSimulator:
     levels: tuple[float, ...] = ()
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
+    templates: tuple[str, ...] = ()
+    copies: tuple[str, ...] = ()
+    pattern: str | None = None
+    output: str = "stdout.txt"
+    cores: int = 1
 
     causes = ("",)
     releases_gil = False
@@ -77,35 +89,45 @@ class CommandSimulator:
 
     def __post_init__(self) -> None:
         quantities = (*self.space.names, *self.space.fixed)
-        for name in ("out", "here"):
-            if name in quantities:
+        for name in quantities:
+            if name.lower() in PATHS:
                 raise InputError(f"space.{name}: `{{{name}}}` is reserved in simulator.command; rename the variable.")
-        known = dict.fromkeys(quantities, 1.0) | {"out": "out", "here": "here"}
-        try:
-            parts = shlex.split(self.command)
-            fields = [field for part in parts for field in string.Formatter().parse(part) if field[1] is not None]
-            names = [name for _, name, _, _ in fields]
-            for _, field, form, _ in fields:
-                if "{" in (form or ""):
-                    raise ValueError(f"the format of {{{field}}} must not contain braces")
-                if any(len(digits.lstrip("0")) > 3 or int(digits) > LONGEST_NUMBER for digits in _digits(form or "")):
-                    raise ValueError(
-                        f"the format of {{{field}}} must have a width and a precision of at most {LONGEST_NUMBER}"
-                    )
-                if field not in known:
-                    raise ValueError(f"{{{field}}} is unknown; use one of {', '.join(f'{{{name}}}' for name in known)}")
-            if "out" not in names:
-                raise ValueError("the command must contain {out}, the file for the program's answer")
-            for part in parts:
-                part.format_map(known)
-        except ValueError as error:
-            raise InputError(f"simulator.command: {error}; got {self.command!r}.") from None
+        check_command(self.command, quantities)
+        names = [*_OWN_FILES, *(_target(file) for file in self.templates), *(Path(file).name for file in self.copies)]
+        for name in names:
+            if names.count(name) > 1 or not name:
+                raise InputError(f"simulator.template, simulator.copy: a run's folder can have only one {name!r}.")
+        if self.here is not None:
+            _ = self.filled
+            for file in self.copies:
+                if not (self.here / file).exists():
+                    raise InputError(f"simulator.copy: {self.here / file} does not exist.")
 
-    def arguments(self, design: Mapping[str, float], out: Path) -> list[str]:
-        """The program and its arguments for a design."""
-        # With enough digits for the program to read the same number.
-        values = {name: _Number(value) for name, value in design.items()} | {"out": str(out), "here": str(self.here)}
-        return [part.format_map(values) for part in shlex.split(self.command)]
+    @property
+    def filled(self) -> dict[str, list[str]]:
+        """The quantities that each template asks for.
+
+        Raises:
+            InputError: if a template cannot be read, or asks for no quantity or an unknown one.
+        """
+        quantities = (*self.space.names, *self.space.fixed)
+        asked = {}
+        for file in self.templates:
+            try:
+                asked[file] = check_file(self._template(file), quantities)
+            except (OSError, ValueError) as error:
+                reason = f"cannot be read: {reason_of(error)}" if isinstance(error, OSError) else str(error)
+                raise InputError(f"simulator.template: {file}: {reason}.") from None
+        return asked
+
+    def _template(self, file: str) -> str:
+        assert self.here is not None
+        # Other encodings than UTF-8 stay what they are.
+        return (self.here / file).read_bytes().decode(errors="surrogateescape")
+
+    def folder_of(self, x: Array) -> Path:
+        """The folder of a design, (d,)."""
+        return self.work / hashlib.sha256(np.asarray(x, dtype=np.float64).tobytes()).hexdigest()[:16]
 
     def run(self, X: Array) -> Results:
         """Simulate designs, (n, d), one after the other.
@@ -123,7 +145,7 @@ class CommandSimulator:
             )
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):
-            folder = self.work / hashlib.sha256(row.tobytes()).hexdigest()[:16]
+            folder = self.folder_of(row)
             for retries_left in reversed(range(1 + self.retries)):
                 try:
                     answers.append(self._run_once(design, folder))
@@ -142,37 +164,93 @@ class CommandSimulator:
             make_folder(self.work)
         folder.mkdir()
         (folder / "design.json").write_text(json.dumps(design, indent=1) + "\n")
+        self._prepare(design, folder)
+        assert self.here is not None
         out = folder / "answer.json"
+        paths = {"here": self.here, "out": out}
+        environment = os.environ | {f"AF_{name}": repr(value) for name, value in design.items()}
+        environment |= {PATHS[name]: str(path) for name, path in paths.items()}
+        environment |= dict.fromkeys(_THREADS, str(self.cores))
         began = time.perf_counter()
         with (folder / "stdout.txt").open("wb") as stdout, (folder / "stderr.txt").open("wb") as stderr:
             # The worker's supervisor kills it along with the worker.
             with _largest_file(self.largest_file):
                 program = subprocess.Popen(
-                    self.arguments(design, out), cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
+                    arguments(self.command, design, paths),
+                    cwd=folder,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=stdout,
+                    stderr=stderr,
                 )
             code = program.wait()
         seconds = time.perf_counter() - began
         if code == -signal.SIGXFSZ:
             raise RuntimeError(
-                f"the program exceeded simulator.largest_file ({self.largest_file} bytes) with a file in {folder}"
+                f"the program exceeded simulator.largest_file ({self.largest_file} bytes) with a file in its folder"
             )
         if code != 0:
             # A UTF-8 character has at most four bytes.
-            end = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip()
+            lines = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip().splitlines()
             how = f"exit code {code}" + (f" ({signal_name(-code)})" if code < 0 else "")
-            raise RuntimeError(f"{how}; {folder}{os.sep}stderr.txt ends: {end[-LONGEST_EXCERPT:]!r}")
-        try:
+            said = f"ends with {lines[-1][-LONGEST_EXCERPT:]!r}" if lines else "is empty"
+            raise RuntimeError(f"{how}; stderr.txt {said}")
+        if self.pattern is not None:
+            answer = _matched(self.pattern, folder / self.output)
+        else:
             # The program may link to a file of its results.
-            written = read_regular(out, LARGEST_ANSWER, follow=True)
-        except FileNotFoundError:
-            raise UnusableAnswerError(f"the program did not write {out}") from None
-        except ValueError as error:
-            raise UnusableAnswerError(f"{out} {error}") from None
-        try:
-            answer = json.loads(written)
-        except (ValueError, RecursionError) as error:
-            raise UnusableAnswerError(f"{out} is not JSON: {error}") from None
+            written = _read(out, LARGEST_ANSWER, "; its path is {out} in the command, or $AF_OUT in the environment")
+            try:
+                answer = json.loads(written)
+            except (ValueError, RecursionError) as error:
+                raise UnusableAnswerError(f"{out.name} is not JSON: {error}") from None
         return read_answer(answer, self.outcomes, self.margins, self.levels, seconds)
+
+    def _prepare(self, design: Mapping[str, float], folder: Path) -> None:
+        """Write the templates with a design's values, and copy files, to its folder."""
+        assert self.here is not None
+        for file in self.templates:
+            text = filled_file(self._template(file), design)
+            (folder / _target(file)).write_bytes(text.encode(errors="surrogateescape"))
+        for file in self.copies:
+            source = self.here / file
+            (shutil.copytree if source.is_dir() else shutil.copy2)(source, folder / source.name)
+
+
+def _target(template: str) -> str:
+    """The name of a filled template."""
+    return Path(template).name.removesuffix(".in")
+
+
+def _read(path: Path, most: int, advice: str = "") -> bytes:
+    """A file that a program wrote.
+
+    Raises:
+        UnusableAnswerError: if it is missing, no regular file or too large.
+    """
+    try:
+        return read_regular(path, most, follow=True)
+    except FileNotFoundError:
+        raise UnusableAnswerError(f"the program did not write {path.name}{advice}") from None
+    except ValueError as error:
+        raise UnusableAnswerError(f"{path.name} {error}") from None
+
+
+def _matched(pattern: str, path: Path) -> float:
+    """The number in the last match of a pattern in a file.
+
+    Raises:
+        UnusableAnswerError: if there is none.
+    """
+    text = _read(path, _LARGEST_OUTPUT).decode(errors="replace")
+    found = [match[1] for match in re.finditer(pattern, text, re.MULTILINE)]
+    if not found:
+        raise UnusableAnswerError(f"{path.name} has no match of simulator.pattern, {pattern!r}")
+    try:
+        # Fortran writes 1.0D-3.
+        return float(re.sub("[dD]", "e", found[-1] or "").replace("_", "?"))
+    except ValueError:
+        raise UnusableAnswerError(f"simulator.pattern: must match a number, got {found[-1]!r} in {path.name}") from None
 
 
 @contextmanager
@@ -185,15 +263,3 @@ def _largest_file(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
-
-
-def _digits(form: str) -> list[str]:
-    """The numbers in a format: width, precision, and a fill character that is a digit."""
-    return re.findall(r"\d+", form)  # digits of any script, as Python accepts them
-
-
-class _Number(float):
-    """A number whose default format has all digits."""
-
-    def __format__(self, form: str) -> str:
-        return format(float(self), form) if form else repr(float(self))

@@ -107,10 +107,11 @@ class Simulator(Protocol):
     towards the time limit.
 
     **Optional attributes.** `renew` (int or None) is the most simulations of one worker process. `isolated` (bool)
-    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker. `failing`
-    and `impossible` (tuples of codes of causes) say which lost runs are failures (`settled`), and which are designs
-    that do not exist. `check(X)` raises an InputError if one of the designs can have no result at all, such as one
-    with a negative friction.
+    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker. `cores`
+    (int) are those that each simulation uses. `failing` and `impossible` (tuples of codes of causes) say which lost
+    runs are failures (`settled`), and which are designs that do not exist. `space` (DesignSpace) has the names of a
+    design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
+    one of the designs can have no result at all, such as one with a negative friction.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -150,6 +151,16 @@ class Simulator(Protocol):
             NUMERICAL_FAILURE and one of the simulator's causes.
         """
         ...
+
+
+def design_in_words(simulator: Simulator, x: Array) -> str:
+    """A design, (d,), as messages name it: its values by name, and its folder if it has one."""
+    values = np.asarray(x).tolist()
+    names = space.names if (space := getattr(simulator, "space", None)) is not None else ()
+    pairs = zip(names, values, strict=True) if len(names) == len(values) else ()
+    text = ", ".join(f"{name} = {value:.6g}" for name, value in pairs) or str(values)
+    folder_of = getattr(simulator, "folder_of", None)
+    return f"design {text}" + ("" if folder_of is None else f" in {folder_of(x)}")
 
 
 def settled(simulator: Simulator, results: Results) -> Results:

@@ -5,7 +5,7 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -86,7 +86,7 @@ def _load_module(name: str, code: Path, forbidden: Path | None) -> tuple[ModuleT
         raise _NeverRunError(file)
     sources = {} if found is None else sources_of(found, code)
     import_from(code, sources)
-    with _current_folder_kept():
+    with _current_folder_kept(), redirect_stdout(sys.stderr):
         module = _module_from_path(name, forbidden) if file is None else _module_from_file(file, name)
     origin = Path(module.__file__) if module.__file__ else None
     if sources and found in (file, origin):

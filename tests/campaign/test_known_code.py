@@ -169,7 +169,7 @@ def test_a_command_on_a_relative_path_is_about_the_same_run_folder(
 @pytest.mark.parametrize("source", ["model.py", "limit.py"])
 def test_changed_code_must_be_named_again(run: Path, mine: Path, source: str) -> None:
     with (mine / source).open("a") as file:
-        file.write("# changed\n")
+        file.write("changed = True\n")
     command = f"activefail resume {run} --code {mine}"
     refused(resumed(run), f"{run}: the custom code in {mine} has changed since", f"as in `{command}`")
     assert not (mine / "ran").exists()

@@ -169,6 +169,16 @@ BROKEN = [
         'simulator = { python = "a:b", margins = ["g"], levels = { g = [nan] } }',
         "simulator.levels.g.0: must be a finite number, got nan",
     ),
+    (
+        'simulator = { command = "a", pattern = "x (", margins = ["g"] }',
+        "simulator.pattern: must be a regular expression",
+    ),
+    ('simulator = { command = "a", pattern = "x", margins = ["g"] }', "simulator.pattern: must have one group"),
+    (
+        'simulator = { command = "a", pattern = "(x)" }',
+        "pattern: requires one margin, and two outcomes or stated levels",
+    ),
+    ('simulator = { python = "a:b", copy = "x" }', "simulator.copy: belongs to `command`"),
     ('simulator = { command = "a {out}", time_limit = 0.0 }', "simulator.time_limit: must be greater than 0"),
     ('seed = "one"', "seed: must be"),
     ("space.mu = {low = 0.1}", "space.mu: a uniform distribution requires `low` and `high`"),
@@ -381,7 +391,7 @@ def test_a_changed_function_is_told_on_resume(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('classifier.features = { python = "mine:ratio" }')
     before = read_campaign(path, code=tmp_path).sources
-    (tmp_path / "mine.py").write_text(OWN + "# changed")
+    (tmp_path / "mine.py").write_text(OWN + "changed = True")
     assert read_campaign(path, code=tmp_path).sources.keys() == before.keys()
     assert read_campaign(path, code=tmp_path).sources != before
 

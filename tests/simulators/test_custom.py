@@ -27,7 +27,7 @@ from activefail.campaign.on_disk import create_folder, read_campaign
 from activefail.campaign.sections import PythonSimulatorSettings
 from activefail.errors import InputError
 from activefail.execution.answering import answer
-from activefail.execution.local import ProcessExecutor
+from activefail.execution.local import ProcessExecutor, local_executor
 from activefail.parameter import Parameter
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
@@ -146,7 +146,7 @@ def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, 
     results = answer(python(tmp_path, "broken"), X[:1])
     fault = results.faults[0]
     assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [UNUSABLE_ANSWER])
-    assert fault.startswith("design [0.333")
+    assert fault.startswith("design drift = 0.333333, T = 1.5: ")
     assert re.search(UNUSABLE[result], fault), fault
 
 
@@ -429,9 +429,12 @@ def test_the_folders_of_what_was_answered_go_where_they_are_not_kept(tmp_path: P
 
 
 FAILING = {
-    "sys.stderr.write('no licence\\n'); sys.exit(3)": (RAISED, "exit code 3; .*stderr.txt ends: 'no licence'"),
-    "os.kill(os.getpid(), 11)": (RAISED, r"exit code -11 \(SIGSEGV\); "),
-    "pass": (UNUSABLE_ANSWER, "the program did not write .*answer.json"),
+    "sys.stderr.write('a line\\n\\nno licence\\n\\n'); sys.exit(3)": (
+        RAISED,
+        "exit code 3; stderr.txt ends with 'no licence'",
+    ),
+    "os.kill(os.getpid(), 11)": (RAISED, r"exit code -11 \(SIGSEGV\); stderr.txt is empty"),
+    "pass": (UNUSABLE_ANSWER, r"the program did not write answer.json; its path is \{out\}"),
     "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "json.dump({'outcome': 'collapse'}, open(sys.argv[-1], 'w'))": (UNUSABLE_ANSWER, "must be one of safe, failure"),
 }
@@ -444,6 +447,7 @@ def test_a_program_that_fails_is_a_numerical_failure_that_says_why(tmp_path: Pat
     results = answer(program(tmp_path, source), X[:1])
     assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [cause])
     assert re.search(says, results.faults[0]), results.faults[0]
+    assert results.faults[0].startswith(f"design drift = 0.333333, T = 1.5 in {tmp_path / 'work'}/")
 
 
 @pytest.mark.faults
@@ -541,7 +545,7 @@ if float(sys.argv[1]) > 3:
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        ("model {drift}", "the command must contain {out}, the file for the program's answer"),
+        ("  ", "must name a program"),
         ("model {drfit} {out}", "{drfit} is unknown; use one of {drift}, {T}, {storeys}, {out}, {here}"),
         ("model {drift.real} {out}", "{drift.real} is unknown; use one of"),
         ("model {drift:q} {out}", "Unknown format code 'q'"),
@@ -554,9 +558,129 @@ def test_a_command_that_cannot_be_filled_in_is_refused(tmp_path: Path, command: 
 
 
 def test_a_variable_that_a_command_could_not_name_is_refused(tmp_path: Path) -> None:
-    space = DesignSpace((Parameter("out", 0.0, 1.0),))
-    with pytest.raises(InputError, match=r"space.out: `\{out\}` is reserved in simulator.command"):
-        CommandSimulator(space, "model {out}", tmp_path, tmp_path, ("safe", "failure"), ())
+    for name in ("out", "here", "OUT"):
+        space = DesignSpace((Parameter(name, 0.0, 1.0),))
+        with pytest.raises(InputError, match=rf"space.{name}: `\{{{name}\}}` is reserved in simulator.command"):
+            CommandSimulator(space, "model {out}", tmp_path, tmp_path, ("safe", "failure"), ())
+
+
+HOSTILE = "case 1 (final) $(touch ran) `touch ran` ; touch ran ; 'q' \"p\" & $HOME"
+
+SCRIPTS = {
+    "sh -c 'cat {here}/answer > {out}'": True,
+    'sh -c \'cat "{here}/answer" > "{out}"\'': True,
+    "env A=1 bash -ec 'cd / && cat {here}/answer > {out}'": True,
+    "sh -c \"cat '{here}/answer' > '{out}'\"": True,
+    "sh -c 'x=$(cat {here}/answer) && printf %s \"$x\" > {out}'": True,
+    'sh -c \'cat "$AF_HERE"/answer > "$AF_OUT"\'': True,
+    "sh -c 'cp $AF_HERE/answer $AF_OUT'": False,  # unquoted, so it is split at blanks
+    "cp {here}/answer {out}": True,
+    "sh {here}/copy.sh": True,
+}
+
+
+@pytest.mark.parametrize("name", ["plain", "case 1 (final)", HOSTILE], ids=["plain", "blanks", "hostile"])
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_no_path_runs_as_code_and_scripts_work_in_any_folder(tmp_path: Path, script: str, name: str) -> None:
+    here = tmp_path / name
+    here.mkdir()
+    (here / "answer").write_text('{"outcome": "safe"}')
+    (here / "copy.sh").write_text('cat "$AF_HERE/answer" > "$AF_OUT"; test "$AF_drift $AF_storeys" = "2.5 3.0"')
+    simulator = CommandSimulator(SPACE, script, here, here / "work", ("safe", "failure"), ())
+    results = answer(simulator, X[1:2])
+    assert bool(results.outcome[0] == 0) is (SCRIPTS[script] or name == "plain"), results.faults
+    assert not list(tmp_path.rglob("ran"))
+
+
+def test_a_path_that_other_code_than_a_shell_s_might_run_is_refused(tmp_path: Path) -> None:
+    for name, code in (("case 1 (final)", 0), ("it's", RAISED)):
+        here = tmp_path / name
+        here.mkdir()
+        command = f"{sys.executable} -c \"open('{{out}}', 'w').write('{{{{\\\"outcome\\\": \\\"safe\\\"}}}}')\""
+        with suppress(InputError):
+            results = answer(CommandSimulator(SPACE, command, here, here / "work", ("safe", "failure"), ()), X[:1])
+            assert (code, results.outcome[0]) == (0, 0), results.faults
+            continue
+        assert code
+
+
+def made(folder: Path, **other: object) -> CommandSimulator:
+    """A program that prints its inputs."""
+    options = {"command": "cat model.tcl", "here": folder, "work": folder / "work", "outcomes": ("safe", "failure")}
+    options |= {"margins": ("g",), "levels": (0.0,), "pattern": r"g = (\S+)", "templates": ("parts/model.tcl.in",)}
+    return CommandSimulator(SPACE, **(options | other))
+
+
+TEMPLATES = {
+    "g = {drift}": [1.0 / 3.0, 2.5, 3.7],
+    "g = {drift:.2f}": [0.33, 2.5, 3.7],
+    "if {$x} { puts {a b} } {} {{}} {other}\ng = -{T}": [-1.5, -2.0, -2.9],
+    "g = 7\ng = {storeys:.1e}\n": [3.0, 3.0, 3.0],
+    "g = {T}D+01": [15.0, 20.0, 29.0],
+}
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_an_input_file_is_filled_in_and_a_number_is_read_from_the_output(tmp_path: Path, template: str) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "model.tcl.in").write_bytes(template.encode() + b"\n\xff")
+    results = answer(made(tmp_path), X)
+    assert results.faults == {}
+    assert results.margins[:, 0].tolist() == TEMPLATES[template]
+    assert results.outcome.tolist() == [int(margin <= 0.0) for margin in TEMPLATES[template]]
+    assert all(file.read_bytes().endswith(b"\xff") for file in (tmp_path / "work").rglob("model.tcl"))
+
+
+@pytest.mark.parametrize(
+    ("template", "says"),
+    [
+        ("g = {drfit}", r"parts/model.tcl.in: \{drfit\} is unknown; did you mean \{drift\}\?"),
+        ("g = 1", r"parts/model.tcl.in: must ask for a quantity, like \{drift\}"),
+        ("g = {drift:q}", "Unknown format code 'q'"),
+        ("g = {drift:9999}", "must have a width and a precision of at most 100"),
+        (None, "parts/model.tcl.in: cannot be read: No such file or directory"),
+    ],
+)
+def test_a_template_that_cannot_be_filled_in_is_refused(tmp_path: Path, template: str | None, says: str) -> None:
+    (tmp_path / "parts").mkdir()
+    if template is not None:
+        (tmp_path / "parts" / "model.tcl.in").write_text(template)
+    with pytest.raises(InputError, match=f"simulator.template: .*{says}"):
+        made(tmp_path)
+
+
+def test_files_and_folders_are_copied_and_a_file_of_the_run_is_read(tmp_path: Path) -> None:
+    (tmp_path / "mesh" / "part").mkdir(parents=True)
+    (tmp_path / "mesh" / "part" / "a").write_text("g = 4\n")
+    (tmp_path / "lone").write_text("g = 5\n")
+    options = {"templates": (), "command": "cp mesh/part/a result", "output": "result", "copies": ("mesh", "lone")}
+    results = answer(made(tmp_path, **options), X[:1])
+    assert results.margins.tolist() == [[4.0]], results.faults
+    for copies, says in ((("gone",), "gone does not exist"), (("lone", "mesh/../lone"), "only one 'lone'")):
+        with pytest.raises(InputError, match=f"simulator.*copy: .*{says}"):
+            made(tmp_path, **(options | {"copies": copies}))
+
+
+@pytest.mark.parametrize(
+    ("printed", "says"),
+    [
+        ("h = 1", r"stdout.txt has no match of simulator.pattern, 'g = "),
+        ("g = much", "must match a number, got 'much'"),
+    ],
+)
+def test_an_output_without_the_number_is_a_numerical_failure(tmp_path: Path, printed: str, says: str) -> None:
+    results = answer(made(tmp_path, templates=(), command=f"echo {printed}"), X[:1])
+    assert results.cause.tolist() == [UNUSABLE_ANSWER]
+    assert re.search(says, results.faults[0]), results.faults[0]
+
+
+def test_a_program_gets_its_cores_and_fewer_run_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator = made(tmp_path, templates=(), command="sh -c 'echo g = $OMP_NUM_THREADS'", cores=3)
+    assert answer(simulator, X[:1]).margins.tolist() == [[3.0]]
+    for cpus, workers in ((8, 2), (2, 1)):
+        monkeypatch.setattr("os.cpu_count", lambda cpus=cpus: cpus)
+        with local_executor(simulator) as executor:
+            assert executor._workers == workers
 
 
 # --- campaigns ---------------------------------------------------------------------------------------------------

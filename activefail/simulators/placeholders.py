@@ -1,0 +1,137 @@
+"""Placeholders, `{name}` or `{name:format}`, in the command of a program and in its input files."""
+
+import re
+import shlex
+import string
+from collections.abc import Collection, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+
+from activefail.errors import InputError
+
+LONGEST_NUMBER = 100
+"""Largest width and precision in a format: memory and time grow with both."""
+
+PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
+"""Placeholders of a command that are paths, and the environment variables that have the same value."""
+
+_SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
+
+_IN_FILE = re.compile(r"\{([^\W\d]\w*)(?::([^{}]*))?\}")
+"""A placeholder in an input file, where all other braces stay."""
+
+
+class Number(float):
+    """A number whose default format has all digits, for the program to read the same number."""
+
+    def __format__(self, form: str) -> str:
+        return format(float(self), form) if form else repr(float(self))
+
+
+def check_command(command: str, quantities: Collection[str]) -> None:
+    """Check that a command can be filled in.
+
+    Args:
+        command: the program and its arguments.
+        quantities: names of the variables and the fixed quantities.
+
+    Raises:
+        InputError: naming the rule and the command.
+    """
+    try:
+        parts = shlex.split(command)
+        if not parts:
+            raise ValueError("must name a program")
+        for part in parts:
+            for _, name, form, _ in string.Formatter().parse(part):
+                if name is not None:
+                    _check(name, form or "", (*quantities, "out", "here"))
+            part.format_map(dict.fromkeys(quantities, 1.0) | dict.fromkeys(PATHS, "path"))
+    except ValueError as error:
+        raise InputError(f"simulator.command: {error}; got {command!r}.") from None
+
+
+def _check(name: str, form: str, known: Collection[str]) -> None:
+    if "{" in form:
+        raise ValueError(f"the format of {{{name}}} must not contain braces")
+    # Digits of any script, as Python accepts them.
+    if any(len(digits.lstrip("0")) > 3 or int(digits) > LONGEST_NUMBER for digits in re.findall(r"\d+", form)):
+        raise ValueError(f"the format of {{{name}}} must have a width and a precision of at most {LONGEST_NUMBER}")
+    if name not in known:
+        raise ValueError(f"{{{name}}} is unknown; use one of {', '.join(f'{{{name}}}' for name in known)}")
+
+
+def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Path]) -> list[str]:
+    """The program and its arguments for a design.
+
+    Args:
+        command: as `check_command` accepts it.
+        design: values of the variables and the fixed quantities.
+        paths: values of `PATHS`.
+
+    Raises:
+        InputError: if a path contains what an argument may read as code.
+    """
+    parts = shlex.split(command)
+    values = {name: Number(value) for name, value in design.items()} | {name: str(path) for name, path in paths.items()}
+    filled = []
+    for place, part in enumerate(parts):
+        if _is_shell_script(parts[:place]):
+            part = _by_environment(part)
+        elif re.search(r"[\s(]", part):
+            for name, path in paths.items():
+                if f"{{{name}}}" in part and re.search(r"""['"`$\\;\n]""", str(path)):
+                    raise InputError(
+                        f"simulator.command: the path {str(path)!r} contains characters that {part!r} may read as "
+                        f"code; use the environment variable {PATHS[name]} there instead of {{{name}}}."
+                    )
+        filled.append(part.format_map(values))
+    return filled
+
+
+def _is_shell_script(before: list[str]) -> bool:
+    """Whether the argument after these is the script of a shell: `sh -c`, also after `env`, `nice` and the like."""
+    shells = [place for place, part in enumerate(before) if Path(part).name in _SHELLS]
+    return bool(shells) and before[-1] != before[shells[-1]] and re.fullmatch(r"-\w*c", before[-1]) is not None
+
+
+def _by_environment(script: str) -> str:
+    """A script for a shell with references to the environment in place of `{here}` and `{out}`.
+
+    A shell expands a reference in double quotes to one word, whatever it contains, and never runs it.
+    """
+    filled, quote = [], ""
+    for piece in re.split(r"(\{here\}|\{out\}|\\.|['\"])", script, flags=re.DOTALL):
+        if piece in ("'", '"') and quote in ("", piece):
+            quote = "" if quote else piece
+        if name := PATHS.get(piece.strip("{}")) if piece.startswith("{") else None:
+            reference = f"${{{{{name}}}}}"
+            piece = {"": f'"{reference}"', '"': reference, "'": f"'\"{reference}\"'"}[quote]
+        filled.append(piece)
+    return "".join(filled)
+
+
+def check_file(text: str, quantities: Collection[str]) -> list[str]:
+    """The quantities that an input file asks for.
+
+    Raises:
+        ValueError: if it asks for none, or one has a wrong name or format; the text completes "<file>: ...".
+    """
+    asked = []
+    for name, form in _IN_FILE.findall(text):
+        if name in quantities:
+            _check(name, form, quantities)
+            format(1.0, form)
+            asked.append(name)
+        elif near := get_close_matches(name, quantities, 1, 0.75):
+            raise ValueError(f"{{{name}}} is unknown; did you mean {{{near[0]}}}?")
+    if not asked:
+        raise ValueError(f"must ask for a quantity, like {{{next(iter(quantities))}}}")
+    return list(dict.fromkeys(asked))
+
+
+def filled_file(text: str, design: Mapping[str, float]) -> str:
+    """An input file with the values of a design; other braces stay."""
+    return _IN_FILE.sub(
+        lambda found: format(Number(design[found[1]]), found[2] or "") if found[1] in design else found[0], text
+    )
