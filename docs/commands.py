@@ -4,6 +4,7 @@ python docs/commands.py
 """
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,19 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with its arguments and options, as `activefail COMMAND --help` shows them. Every command also takes
-`-q` (`--quiet`) and `-v` (`--verbose`); [the guide](../guide.md#quiet-verbose-completion) says what they do.
-The guide also says [what the commands are for](../guide.md#campaigns), and lists the
+Every command with its arguments and options, as `activefail COMMAND --help` shows them. The guide says
+[what the commands are for](../guide.md#campaigns), and lists the
 [exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c). `python docs/commands.py` writes this page.
 
+## In many commands
+
+Every command takes `-q` (`--quiet`) and `-v` (`--verbose`), which show [less or
+more](../guide.md#quiet-verbose-completion).
+
 """
+
+MANY = 3
+"""Commands from which on an argument or option is explained once, at the top of the page."""
 
 
 def linked(text: str) -> str:
@@ -32,26 +40,48 @@ def linked(text: str) -> str:
     return re.sub(r"docs/([\w./]+\.md)", lambda page: f"[{page[1]}](../{page[1]})", text)
 
 
-def command_section(name: str, command: Any) -> str:
-    """A command's section: what it does, how it is called, and a table of its arguments and options."""
+def table(rows: list[str]) -> str:
+    """A table of arguments and options."""
+    return "\n".join(["| argument or option | meaning |", "|---|---|", *rows])
+
+
+def command_rows(name: str, command: Any) -> dict[str, str]:
+    """The row of each argument and option of a command, with its first name."""
     context = command.make_context(f"activefail {name}", [], resilient_parsing=True)
-    usage = command.get_usage(context).removeprefix("Usage: ")
-    common = ("help", "quiet", "verbose")
-    parameters = [parameter for parameter in command.get_params(context) if parameter.name not in common]
-    rows = []
-    for parameter in parameters:
-        declared, text = parameter.get_help_record(context)
-        rows.append(f"| `{declared.replace('|', chr(92) + '|')}` | {linked(' '.join(text.split()))} |")
-    table = ["| argument or option | meaning |", "|---|---|", *rows] if rows else ["It takes no arguments."]
-    example = command.epilog.removeprefix("Example: ")
-    lines = [f"## {name}", "", f"    {' '.join(usage.split())}", "", linked(command.help), "", *table, ""]
-    return "\n".join([*lines, "For example:", "", f"    {example}"]) + "\n"
+    found = {}
+    for parameter in command.get_params(context):
+        if parameter.name not in ("help", "quiet", "verbose"):
+            declared, text = parameter.get_help_record(context)
+            row = f"| `{declared.replace('|', chr(92) + '|')}` | {linked(' '.join(text.split()))} |"
+            found[row] = declared.split()[0]
+    return found
+
+
+def command_section(name: str, command: Any, common: set[str]) -> str:
+    """A command's section: what it does, how it is called, and a table of its arguments and options.
+
+    Args:
+        name: of the command.
+        command: as typer has it.
+        common: rows that are not in the table, because many commands have them.
+    """
+    usage = command.get_usage(command.make_context(f"activefail {name}", [], resilient_parsing=True))
+    rows = command_rows(name, command)
+    lines = [f"## {name}", "", f"    {' '.join(usage.removeprefix('Usage: ').split())}", "", linked(command.help), ""]
+    if special := [row for row in rows if row not in common]:
+        lines += [table(special), ""]
+    if options := [f"`{rows[row]}`" for row in rows if row in common and rows[row].startswith("--")]:
+        lines += [f"It also takes {' and '.join(options)}.", ""]
+    return "\n".join([*lines, "For example:", "", f"    {command.epilog.removeprefix('Example: ')}"]) + "\n"
 
 
 def page() -> str:
     """commands.md for the program as it is."""
     commands = typer.main.get_command(app).commands
-    return HEAD + "\n".join(command_section(name, command) for name, command in commands.items())
+    counts = Counter(row for name, command in commands.items() for row in command_rows(name, command))
+    common = [row for row, count in counts.items() if count >= MANY]
+    sections = (command_section(name, command, set(common)) for name, command in commands.items())
+    return HEAD + table(common) + "\n\n" + "\n".join(sections)
 
 
 if __name__ == "__main__":

@@ -106,23 +106,37 @@ def references(schema: Schema) -> list[str]:
     return re.findall(r'"\$ref": "#/\$defs/(\w+)"', json.dumps(schema))
 
 
-def rows(section: type, schema: Schema) -> list[str]:
-    """The table of a section's keys.
+def rows(section: type, schema: Schema, said: dict[str, str] | None = None) -> list[str]:
+    """The table of a section's keys, and the keys that are as in another table.
+
+    Args:
+        section: its class.
+        schema: its JSON schema.
+        said: rows of tables that may take its place, with the title of each; grows.
 
     Raises:
         KeyError: if its docstring does not say what a key means.
     """
     meaning = meanings(section)
-    lines = ["| key | type and rule | default | meaning |", "|---|---|---|---|"]
+    lines, before = ["| key | type and rule | default | meaning |", "|---|---|---|---|"], dict[str, list[str]]()
     for name, entry in schema["properties"].items():
         if name not in meaning:
             raise KeyError(f"the docstring of {section.__name__} does not say what {name!r} means")
         cells = (f"`{name}`", rule(entry), default(name, entry, schema.get("required", [])), meaning[name])
-        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return lines
+        row = f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        if said and row in said:
+            before.setdefault(said[row], []).append(f"`{name}`")
+        else:
+            lines.append(row)
+    if said is not None:
+        said |= dict.fromkeys(lines, schema.get("required", [""])[0])
+    same = [f"{', '.join(names[:-1])} and {names[-1]} are as with `{title}`." for title, names in before.items()]
+    return [*lines, "", *same] if same else lines
 
 
-def tables(schema: Schema, path: str, defined: dict[str, Schema], seen: set[str]) -> Iterator[str]:
+def tables(
+    schema: Schema, path: str, defined: dict[str, Schema], seen: set[str], said: dict[str, str] | None = None
+) -> Iterator[str]:
     """The sections of the page on a table and on the tables inside it, each once.
 
     Args:
@@ -130,22 +144,23 @@ def tables(schema: Schema, path: str, defined: dict[str, Schema], seen: set[str]
         path: of the table in a file, such as "classifier"; empty for the file itself.
         defined: schemas of the tables inside it, by name.
         seen: names of the tables that the page already has; grows.
+        said: rows of tables that may take its place; grows.
     """
     section = section_class(schema["title"])
     if path:
         summary = " ".join(inspect.cleandoc(section.__doc__ or "").split("\n\n")[0].split())
-        yield "\n".join([f"### {path}", "", cited(summary), "", *rows(section, schema)])
+        yield "\n".join([f"### {path}", "", cited(summary), "", *rows(section, schema, said)])
     else:
         yield "\n".join(rows(section, schema))
     for name, entry in schema["properties"].items():
-        inside = references(entry)
+        inside, alternatives = references(entry), dict[str, str]()
         for inner in [one for one in inside if one not in seen]:
             seen.add(inner)
             own = defined[inner].get("required", [])
             key = ".".join([*path.strip("`[]").split("."), name]).lstrip(".")
             key += ".NAME" if "additionalProperties" in entry else ""
             heading = f"`[{key}]`" + (f" with `{own[0]}`" if len(inside) > 1 and own else "")
-            yield from tables(defined[inner], heading, defined, seen)
+            yield from tables(defined[inner], heading, defined, seen, alternatives if len(inside) > 1 else None)
 
 
 def page() -> str:
