@@ -1,8 +1,8 @@
 """A boundary's latent as a GPyTorch variational GP in a BoTorch model, whose posterior is read off the sites."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Never, Self
 
 import gpytorch
 import numpy as np
@@ -15,8 +15,8 @@ from linear_operator.operators import DiagLinearOperator, MatmulLinearOperator
 from torch import Tensor
 
 from activefail.space import Array
-from activefail.surrogate import kernels
 from activefail.surrogate.covariance import JITTER
+from activefail.surrogate.kernels import Prior
 from activefail.surrogate.likelihoods import expected_precision
 from activefail.surrogate.moments import LARGEST_FEATURE, in_parts
 from activefail.surrogate.readout import Readout, Trend
@@ -35,26 +35,28 @@ class Seen(NamedTuple):
         return Seen(self.mean.reshape(shape), self.shrunk.reshape(*shape, -1), trend)
 
 
-class SiteStrategy(gpytorch.variational.VariationalStrategy):
-    """GPyTorch's whitened strategy at its optimum, with mean and covariance read off the sites.
+class SiteStrategy(torch.nn.Module):
+    """The posterior at the optimal sites, in place of GPyTorch's whitened strategy.
 
-    The stock strategy gives the same numbers in 3.5 times the time, and repeats the support points for each entry of a
-    batch (..., 1, m).
+    That gives the same numbers in 3.5 times the time, and repeats the support points for each entry of a batch
+    (..., 1, m).
 
     Args:
-        model: the GP of this strategy.
+        prior: of the latent.
         support: (M, m) features of its support points.
         readout: the matrices of predictions.
         trend: of a mean that is estimated.
         jitter: added to the variance of a point, and its least value.
     """
 
-    def __init__(
-        self, model: "BoundaryGP", support: Tensor, readout: Readout, trend: Trend | None, jitter: float
-    ) -> None:
-        distribution = gpytorch.variational.CholeskyVariationalDistribution(1).double()
-        super().__init__(model, support, distribution, learn_inducing_locations=False, jitter_val=jitter)
-        self.variational_params_initialized.fill_(1)
+    support: Tensor
+    weights: Tensor
+    root: Tensor
+
+    def __init__(self, prior: Prior, support: Tensor, readout: Readout, trend: Trend | None, jitter: float) -> None:
+        super().__init__()
+        self.prior, self.jitter = prior, jitter
+        self.register_buffer("support", support)
         self.register_buffer("weights", torch.from_numpy(readout.weights))
         self.register_buffer("root", torch.from_numpy(readout.root))
         self._trend = trend
@@ -82,8 +84,8 @@ class SiteStrategy(gpytorch.variational.VariationalStrategy):
         return self._seen(flat).reshape(x.shape[:-1])
 
     def _seen(self, x: Tensor) -> Seen:
-        k = kernels.covariance(self.model.covar_module, x, self.inducing_points)
-        mean = self.model.mean_module(x) + k @ self.weights
+        k = self.prior.covariance(x, self.support)
+        mean = self.prior.mean_module(x) + k @ self.weights
         if self._trend is None:
             return Seen(mean, k @ self.root.mT, None)
         ones, total = self._trend
@@ -92,21 +94,21 @@ class SiteStrategy(gpytorch.variational.VariationalStrategy):
     def marginals(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Means and variances of points, (..., m), each (...,)."""
         mean, shrunk, trend = self.seen(x)
-        prior = kernels.variances(self.model.covar_module, x.reshape(-1, x.shape[-1])).reshape(mean.shape)
-        variance = prior + self.jitter_val - _squares(shrunk)
+        prior = self.prior.variance(x.reshape(-1, x.shape[-1])).reshape(mean.shape)
+        variance = prior + self.jitter - _squares(shrunk)
         if trend is not None:
             variance = variance + trend.square()
-        return mean, variance.clamp_min(self.jitter_val)
+        return mean, variance.clamp_min(self.jitter)
 
-    def __call__(self, x: Tensor, prior: bool = False, **options: Any) -> MultivariateNormal:
-        """The posterior of points, (..., q, m)."""
+    def forward(self, x: Tensor, prior: bool = False) -> MultivariateNormal:
+        """The posterior of points, (..., q, m), or their prior."""
         if prior:
-            return super().__call__(x, prior=True, **options)
+            return MultivariateNormal(self.prior.mean_module(x), self.prior.covar_module(x))
         if x.shape[-2] == 1:  # single points need no matrices
             mean, variance = self.marginals(x)
             return MultivariateNormal(mean, DiagLinearOperator(variance))
         mean, shrunk, trend = self.seen(x)
-        K = self.model.covar_module(x).add_jitter(self.jitter_val) + MatmulLinearOperator(-shrunk, shrunk.mT)
+        K = self.prior.covar_module(x).add_jitter(self.jitter) + MatmulLinearOperator(-shrunk, shrunk.mT)
         if trend is not None:
             K = K + MatmulLinearOperator(trend.unsqueeze(-1), trend.unsqueeze(-2))
         return MultivariateNormal(mean, K)
@@ -118,23 +120,22 @@ class _Fantasy(SiteStrategy):
     They explain e(x)ᵀ e(x), e(x) = L⁻¹ Σ(P, x), with LLᵀ = Σ(P, P) + their noise: p more columns of `shrunk`.
     """
 
-    def __init__(self, model: "BoundaryGP", before: SiteStrategy, P: Tensor, noise: Tensor) -> None:
-        super().__init__(model, P, Readout(np.zeros(0), np.zeros((0, 0))), None, before.jitter_val)
-        object.__setattr__(self, "before", before)  # not a part of this module
-        self.noise, self._at_P = noise, before.seen(P)
-        S = covariance_between(model, self._at_P, self._at_P, P, P)
-        S.diagonal().add_(before.jitter_val + noise)
+    def __init__(self, before: SiteStrategy, P: Tensor, noise: Tensor) -> None:
+        super().__init__(before.prior, P, Readout(np.zeros(0), np.zeros((0, 0))), None, before.jitter)
+        self.before, self.noise, self._at_P = before, noise, before.seen(P)
+        S = covariance_between(self.prior, self._at_P, self._at_P, P, P)
+        S.diagonal().add_(self.jitter + noise)
         self._inverse = torch.linalg.inv(torch.linalg.cholesky(S))
 
     def _seen(self, x: Tensor) -> Seen:
         before = self.before.seen(x)
-        more = covariance_between(self.model, before, self._at_P, x, self.inducing_points) @ self._inverse.mT
+        more = covariance_between(self.prior, before, self._at_P, x, self.support) @ self._inverse.mT
         return Seen(before.mean, torch.cat([before.shrunk, more], dim=-1), before.trend)
 
 
-def covariance_between(gp: "BoundaryGP", seen_F: Seen, seen_G: Seen, F: Tensor, G: Tensor) -> Tensor:
+def covariance_between(prior: Prior, seen_F: Seen, seen_G: Seen, F: Tensor, G: Tensor) -> Tensor:
     """Σ(F, G), (n, l), of features, (n, m) and (l, m), and what the support says of them."""
-    K = kernels.covariance(gp.covar_module, F, G) - seen_F.shrunk @ seen_G.shrunk.mT
+    K = prior.covariance(F, G) - seen_F.shrunk @ seen_G.shrunk.mT
     if seen_F.trend is not None and seen_G.trend is not None:
         K = K + torch.outer(seen_F.trend, seen_G.trend)
     return K
@@ -148,42 +149,46 @@ def _squares(T: Tensor) -> Tensor:
 
 
 class BoundaryGP(gpytorch.models.ApproximateGP):
-    """A latent with any GPyTorch mean and kernel.
+    """A latent with any GPyTorch mean and kernel: those of its strategy's prior."""
 
-    Args:
-        mean_module, covar_module: of GPyTorch.
-        strategy: makes the variational strategy of this GP.
-    """
-
-    def __init__(self, mean_module: Any, covar_module: Any, strategy: "Callable[[BoundaryGP], SiteStrategy]") -> None:
-        super().__init__(None)
-        self.mean_module, self.covar_module = mean_module, covar_module
-        self.variational_strategy = strategy(self)
+    def __init__(self, strategy: SiteStrategy) -> None:
+        super().__init__(strategy)
+        # GPyTorch's hook refers to its module, so that only the garbage collector would free the matrices.
+        self._load_state_dict_pre_hooks.clear()
 
     def forward(self, x: Tensor) -> MultivariateNormal:
         """The prior of points, (..., q, m)."""
-        return MultivariateNormal(self.mean_module(x), self.covar_module(x))
+        prior: MultivariateNormal = self(x, prior=True)
+        return prior
 
 
 class BoundaryModel(ApproximateGPyTorchModel):
     """The posterior of a boundary's latent over scaled features, (..., q, m): what criteria and predictions use."""
 
     @classmethod
-    def of(
-        cls,
-        mean_module: Any,
-        covar_module: Any,
-        likelihood: Any,
-        support: Tensor,
-        readout: Readout,
-        trend: Trend | None = None,
-        jitter: float = JITTER,
-    ) -> Self:
-        """The model of a mean, a kernel and a likelihood, with the matrices of its predictions."""
-        gp = BoundaryGP(mean_module, covar_module, lambda gp: SiteStrategy(gp, support, readout, trend, jitter))
-        model = cls(model=gp, likelihood=likelihood)
+    def of(cls, strategy: SiteStrategy) -> Self:
+        """The model of a strategy."""
+        model = cls(model=BoundaryGP(strategy), likelihood=strategy.prior.likelihood)
         model.eval().requires_grad_(False)
         return model
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """The model is one, not a batch of models."""
+        return torch.Size()
+
+    def condition_on_observations(self, *args: Any, **options: Any) -> Never:
+        """Refused: criteria that fantasise observations need a custom model.
+
+        Raises:
+            UnsupportedError: always.
+        """
+        raise UnsupportedError(
+            "the classifier cannot be conditioned on observations, as by `fantasize`; use a criterion that reads the "
+            "posterior alone, or a classifier.model that can"
+        )
+
+    fantasize = condition_on_observations
 
     @property
     def strategy(self) -> SiteStrategy:
@@ -199,14 +204,14 @@ class BoundaryModel(ApproximateGPyTorchModel):
     def covariance(self, F: Tensor, G: Tensor) -> Tensor:
         """Covariance between features, (n, m) and (l, m) -> (n, l)."""
         seen = self.strategy.seen
-        return covariance_between(self.model, seen(F), seen(G), F, G)
+        return covariance_between(self.strategy.prior, seen(F), seen(G), F, G)
 
     def joint(self, F: Tensor) -> tuple[Tensor, Tensor]:
         """Mean, (n,), and covariance, (n, n), of features, (n, m)."""
         with torch.no_grad():
             seen = self.strategy.seen(F)
-            K = covariance_between(self.model, seen, seen, F, F)
-        K.diagonal().add_(self.strategy.jitter_val)
+            K = covariance_between(self.strategy.prior, seen, seen, F, F)
+        K.diagonal().add_(self.strategy.jitter)
         return seen.mean, K
 
     def keeping(self, *points: Tensor) -> AbstractContextManager[None]:
@@ -228,12 +233,9 @@ class BoundaryModel(ApproximateGPyTorchModel):
             rest -= torch.outer(column, column) / (column[i] + noise[i])
         before = self.strategy
         if isinstance(before, _Fantasy):  # one level, however many observations
-            P, noise = torch.cat([before.inducing_points, P]), torch.cat([before.noise, noise])
+            P, noise = torch.cat([before.support, P]), torch.cat([before.noise, noise])
             before = before.before
-        gp = BoundaryGP(self.model.mean_module, self.model.covar_module, lambda gp: _Fantasy(gp, before, P, noise))
-        model = BoundaryModel(model=gp, likelihood=self.likelihood)
-        model.eval()
-        return model
+        return BoundaryModel.of(_Fantasy(before, P, noise))
 
 
 @torch.no_grad()

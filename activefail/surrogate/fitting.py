@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from activefail.errors import InputError
-from activefail.surrogate.boundary_gp import BoundaryModel
+from activefail.surrogate.boundary_gp import BoundaryModel, SiteStrategy
 from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.inducing import LEFT, MOST, choose, jittered, project
 from activefail.surrogate.kernels import (
@@ -139,7 +139,7 @@ class Fit:
         matrices: Readout = (
             of_all(K, mean, linear, precision) if Kx is None else of_inducing(K, Kx, mean, linear, precision)
         )
-        return BoundaryModel.of(prior.mean_module, prior.covar_module, prior.likelihood, Z, matrices)
+        return BoundaryModel.of(SiteStrategy(prior, Z, matrices, None, JITTER))
 
 
 @torch.no_grad()

@@ -110,18 +110,6 @@ def _is_built_in(kernel: gpytorch.kernels.Kernel) -> bool:
     )
 
 
-def covariance(kernel: gpytorch.kernels.Kernel, F: Tensor, G: Tensor) -> Tensor:
-    """k(F, G), (n, l) of features, (n, m) and (l, m)."""
-    if _is_built_in(kernel):  # without GPyTorch's lazy tensors, which take a third of a millisecond
-        return torch.as_tensor(kernel.base_kernel.forward(F, G) * kernel.outputscale)
-    return torch.as_tensor(kernel(F, G).to_dense())
-
-
-def variances(kernel: gpytorch.kernels.Kernel, F: Tensor) -> Tensor:
-    """k(f, f), (n,), of features, (n, m)."""
-    return kernel.outputscale.expand(len(F)) if _is_built_in(kernel) else torch.as_tensor(kernel(F, diag=True))
-
-
 class Prior(gpytorch.Module):
     """Mean, kernel and likelihood of a latent; their parameters are the hyperparameters.
 
@@ -156,11 +144,15 @@ class Prior(gpytorch.Module):
 
     def covariance(self, F: Tensor, G: Tensor | None = None) -> Tensor:
         """k(F, G), (n, l) of features, (n, m) and (l, m)."""
-        return covariance(self.covar_module, F, F if G is None else G)
+        G, kernel = F if G is None else G, self.covar_module
+        if _is_built_in(kernel):  # without GPyTorch's lazy tensors, which take a third of a millisecond
+            return torch.as_tensor(kernel.base_kernel.forward(F, G) * kernel.outputscale)
+        return torch.as_tensor(kernel(F, G).to_dense())
 
     def variance(self, F: Tensor) -> Tensor:
         """k(f, f), (n,)."""
-        return variances(self.covar_module, F)
+        kernel = self.covar_module
+        return kernel.outputscale.expand(len(F)) if _is_built_in(kernel) else torch.as_tensor(kernel(F, diag=True))
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dpotri
 from scipy.special import log_ndtr
 
 from activefail.space import Array
-from activefail.surrogate.boundary_gp import BoundaryModel, joint, moments
+from activefail.surrogate.boundary_gp import BoundaryModel, SiteStrategy, joint, moments
 from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
 from activefail.surrogate.covariance import NUGGET
 from activefail.surrogate.inducing import choose
@@ -107,13 +107,16 @@ class MarginFit:
 
     def model(self, threshold: float) -> BoundaryModel:
         """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
-        mean = gpytorch.means.ConstantMean().double()
-        mean.initialize(constant=threshold - self.mean)
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
         likelihood.noise = self.nugget
         readout, trend, _ = self.regression
-        of_latent = Readout(-readout.weights, readout.root)
-        return BoundaryModel.of(mean, self.prior.covar_module, likelihood, self.support, of_latent, trend, self.nugget)
+        prior, of_latent = Prior(self.prior.covar_module, likelihood, {}), Readout(-readout.weights, readout.root)
+        prior.mean_module.initialize(constant=threshold - self.mean)
+        return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget))
+
+    @cached_property
+    def _at_zero(self) -> BoundaryModel:
+        return self.model(0.0)
 
     def left_out(self) -> tuple[Array, Array]:
         """Mean and standard deviation of each warped margin from all others, at the same hyperparameters; each (n,).
@@ -156,7 +159,7 @@ class MarginFit:
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
         """Mean and standard deviation of the warped margin at scaled features, (n, m); each (n,)."""
-        mean, sd = self.model(0.0).moments(torch.from_numpy(F))
+        mean, sd = self._at_zero.moments(torch.from_numpy(F))
         return -mean.numpy(), sd.numpy()
 
     def sign_score(self) -> float:

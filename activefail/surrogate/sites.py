@@ -152,9 +152,9 @@ def solve_sites(
 ) -> tuple[Sites, Posterior]:
     """Iterate the sites until the bound changes by less than `tolerance` [nats], for at most `most` steps.
 
-    A step that lowers the bound is halved: with large output scales, fixed damping can cycle forever. Near the
-    optimum, where plain steps converge linearly, they are extrapolated [Anderson1965]; an extrapolation that lowers the
-    bound is rejected.
+    A step that lowers the bound by more is rejected, and the next one is half as long: with large output scales, fixed
+    damping can cycle forever. The iteration ends where the shortest step lowers it, as it may with a likelihood that is
+    not log-concave. Near the optimum, where plain steps converge linearly, they are extrapolated [Anderson1965].
     """
     state = posterior(prior, likelihood, labels, sites)
     share, change = _FIRST_SHARE, math.inf
@@ -166,14 +166,16 @@ def solve_sites(
         step = _extrapolated(past, state, share) if extrapolated else _between(sites, target, share)
         following = posterior(prior, likelihood, labels, step)
         change = following.elbo - state.elbo
-        if change < -tolerance and (extrapolated or share > _LEAST_SHARE):
+        # Relative to the share: the gain of a short step says little about the distance to the optimum.
+        if change <= -tolerance * share:
+            if share <= _LEAST_SHARE and not extrapolated:
+                break
             # Earlier steps mislead here: take a plain step next, then a shorter one.
             past = []
             share = share if extrapolated else 0.5 * share
             continue
         sites, state = step, following
-        # Relative to the share: the gain of a short step says little about the distance to the optimum.
-        if abs(change) < tolerance * share:
+        if change < tolerance * share:
             break
         share = min(1.0, 1.15 * share)
     return sites, state

@@ -1,9 +1,14 @@
 """The model of a boundary is GPyTorch's, and conditioning it on designs in flight is the textbook's."""
 
+import gc
+import weakref
+
 import gpytorch
 import numpy as np
 import pytest
 import torch
+from botorch.acquisition.active_learning import qNegIntegratedPosteriorVariance
+from botorch.exceptions.errors import UnsupportedError
 from surrogate.labelled import MATERN52, RBF, points, prior
 
 from activefail.surrogate.boundary_gp import SiteStrategy, fantasised, joint, marginal, moments
@@ -31,8 +36,8 @@ class Stock(gpytorch.models.ApproximateGP):
     """GPyTorch's own whitened variational GP at the optimum that a model has."""
 
     def __init__(self, model):
-        strategy, of = model.strategy, model.model
-        Z = strategy.inducing_points
+        strategy, of = model.strategy, model.strategy.prior
+        Z = strategy.support
         L = torch.linalg.cholesky(jittered(of.covar_module(Z).to_dense()))
         shrunk = strategy.root @ L
         S = torch.eye(len(Z), dtype=Z.dtype) - shrunk.T @ shrunk
@@ -42,7 +47,7 @@ class Stock(gpytorch.models.ApproximateGP):
         )
         super().__init__(
             gpytorch.variational.VariationalStrategy(
-                self, Z, distribution, learn_inducing_locations=False, jitter_val=strategy.jitter_val
+                self, Z, distribution, learn_inducing_locations=False, jitter_val=strategy.jitter
             )
         )
         self.variational_strategy.variational_params_initialized.fill_(1)
@@ -152,7 +157,7 @@ def test_points_read_before_have_a_gradient(model):
 
 
 def test_a_fantasy_keeps_the_mean_and_conditions_the_covariance_on_noisy_observations(model):
-    (mean, covariance), jitter = model.joint(FRESH), model.strategy.jitter_val * torch.eye(30, dtype=torch.float64)
+    (mean, covariance), jitter = model.joint(FRESH), model.strategy.jitter * torch.eye(30, dtype=torch.float64)
     after_mean, after = fantasised(model, FRESH[:6]).joint(FRESH)
     assert torch.allclose(after_mean, mean, atol=1e-9)
     # Textbook conditioning, with the noise of each site: the precision that its label adds after those before it.
@@ -173,3 +178,19 @@ def test_fantasies_one_after_the_other_are_the_fantasies_at_once(model):
         assert torch.allclose(one, other, rtol=1e-6, atol=1e-8)
     assert isinstance(in_turn.strategy.before, SiteStrategy)
     assert in_turn.strategy.before is model.strategy  # one level, however many observations
+
+
+def test_a_model_is_freed_without_the_garbage_collector():
+    model = fit(*points(20), RBF.prior).model
+    gone = weakref.ref(model.strategy)
+    gc.disable()
+    try:
+        del model
+        assert gone() is None
+    finally:
+        gc.enable()
+
+
+def test_a_criterion_that_fantasises_observations_is_refused_with_the_way_out(model):
+    with pytest.raises(UnsupportedError, match=r"use a criterion .* or a classifier\.model that can"):
+        qNegIntegratedPosteriorVariance(model, mc_points=FRESH)(FRESH[:2].unsqueeze(1))

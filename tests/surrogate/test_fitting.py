@@ -21,11 +21,12 @@ from surrogate.labelled import (
 from surrogate.sampling import elliptical_slice_sampling
 
 from activefail.surrogate import fitting
+from activefail.surrogate import sites as sites_module
 from activefail.surrogate.fitting import condition, fit, make_prior, objective_gradient
 from activefail.surrogate.inducing import jittered
 from activefail.surrogate.latent import Latent
 from activefail.surrogate.likelihoods import Probit, expectations
-from activefail.surrogate.sites import Sites, Whole, posterior
+from activefail.surrogate.sites import Sites, Whole, posterior, solve_sites
 
 
 def whole(of, F):
@@ -79,6 +80,18 @@ def test_the_sites_converge_where_a_fixed_damping_circles():
     _, gradient, curvature = expectations(Probit(), y, state.mean, state.variance)
     assert torch.allclose(trained.sites.precision, curvature, rtol=1e-2, atol=1e-5)
     assert torch.allclose(trained.sites.linear, gradient + curvature * state.mean, rtol=1e-2, atol=1e-4)
+
+
+def test_the_sites_keep_the_best_bound_where_a_likelihood_is_not_log_concave(monkeypatch):
+    F, y = points(40, noise=0.0)
+    y[::6] = 1.0 - y[::6]
+    at = whole(prior(outputscale=100.0), F)
+    states = mock.Mock(wraps=posterior)
+    monkeypatch.setattr(sites_module, "posterior", states)
+    found = solve_sites(at, Mislabelled().double().requires_grad_(False), y, first_sites(y), 1e-5)[1]
+    bounds = [posterior(*call.args).elbo for call in states.call_args_list]
+    assert found.elbo > max(bounds) - 1e-5
+    assert len(bounds) < 60  # it ends where no step raises the bound
 
 
 PRIORS = {
