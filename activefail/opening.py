@@ -62,7 +62,8 @@ def campaign_for(
         seed, budget: replace those of a campaign file.
 
     Raises:
-        InputError: if the settings are invalid, or the folder already holds a campaign.
+        InputError: if the settings are invalid, the folder already holds a campaign, or custom code of the classifier
+            or of the criterion fails (see `loop.proposing.try_custom_code`).
     """
     if isinstance(campaign, Mapping):
         campaign = Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code, folder)
@@ -72,6 +73,10 @@ def campaign_for(
     if (folder / SETTINGS).exists():
         how = how_to_continue(folder, campaign)
         raise InputError(f"{folder}: already holds a campaign; {how}. In Python, `open_run` opens it.")
+    if campaign.learner:
+        from activefail.loop.proposing import try_custom_code
+
+        try_custom_code(campaign)
     return campaign
 
 

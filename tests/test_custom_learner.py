@@ -12,6 +12,7 @@ from activefail import open_run
 
 PAGE = Path(__file__).parents[1] / "docs" / "classifier.md"
 CODE = "\n".join(re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL))
+AFTER = len(CODE.splitlines()) + 1
 CAMPAIGN = """
 seed = 3
 [sampling]
@@ -50,7 +51,6 @@ def campaign(folder: Path, case: str) -> Path:
     return file
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("case", CASES)
 def test_custom_code_learns_and_proposes_in_a_campaign_and_continues_with_the_same_bits(
     case: str, tmp_path: Path
@@ -89,15 +89,29 @@ def test_a_campaign_whose_learner_changed_is_refused_until_its_folder_is_named(t
             "def kernel(dimension):\n    return 3\n",
             "classifier.kernel: must return a GPyTorch kernel, got int",
         ),
-        ("criterion", "class Near:\n    pass\n", "acquisition.criterion.python: learning failed: TypeError"),
+        ("criterion", "class Near:\n    pass\n", "acquisition.criterion.python: raised TypeError"),
+        ("criterion", "def Near(model):\n    return lambda X: X[:, 0, 0].log()\n", "acquisition.criterion: must be a"),
+        (
+            "likelihood",
+            f"{CODE}\nclass Robust(Robust):\n    def marginal(self, f):\n        return 1 / 0\n",
+            f"likelihood.python: raised ZeroDivisionError: division by zero ({{folder}}/mine.py:{AFTER + 3})",
+        ),
+        (
+            "model",
+            "def model(features, labels):\n    return labels.mean()\n",
+            "classifier.model: must return a BoTorch model, got Tensor",
+        ),
     ],
 )
-def test_an_error_of_custom_code_names_its_setting(case: str, code: str, says: str, tmp_path: Path) -> None:
+def test_an_error_of_custom_code_names_its_setting_and_line_before_the_first_simulation(
+    case: str, code: str, says: str, tmp_path: Path
+) -> None:
     file = campaign(tmp_path, case)
     (tmp_path / "mine.py").write_text(code)
     failed = activefail("run", file, "--out", tmp_path / "run")
     assert failed.code == 2
-    assert says in failed.err
+    assert says.format(folder=tmp_path) in failed.err
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

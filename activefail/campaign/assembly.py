@@ -14,7 +14,7 @@ from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
-from activefail.errors import InputError, description_of
+from activefail.errors import InputError, description_of, place_of
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
 from activefail.names import FeatureSet
 from activefail.record.batch import Schema
@@ -146,19 +146,23 @@ class Campaign:
         return functions | _learner_references(self.settings)
 
     @contextmanager
-    def custom_learner(self) -> Iterator[None]:
-        """The context in which custom code of the classifier and the acquisition runs.
+    def custom_code(self, *keys: str) -> Iterator[None]:
+        """The context in which custom code of the classifier, or of the acquisition, runs.
+
+        Args:
+            keys: of the settings that may name this code.
 
         Raises:
-            InputError: if there is any, in place of its error.
+            InputError: if any of them does, in place of an error: its keys, and the line of the user's code.
         """
         try:
             with redirect_stdout(sys.stderr) if self.learner else nullcontext():
                 yield
         except Exception as error:
-            if not self.learner or isinstance(error, InputError):
+            custom = [key for key in keys if key in self.learner]
+            if not custom or isinstance(error, InputError):
                 raise
-            raise InputError(f"{', '.join(self.learner)}: learning failed: {description_of(error)}.") from error
+            raise InputError(f"{', '.join(custom)}: raised {description_of(error)}{place_of(error)}.") from error
 
     @property
     def decisive(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from activefail.loop.probability_rule import Looks, looked, looks_from_state, lo
 from activefail.loop.saved_learning import margins_of, restore
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
-from activefail.simulators.user_code import KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
+from activefail.simulators.user_code import KERNEL_KEY, LEARNER_KEYS, LIKELIHOOD_KEY, MODEL_KEY
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.fitting import MakePrior, condition, fit
@@ -50,7 +50,7 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
     """
     known, learner = history.training, learner_of(campaign)
     margins, outcomes = margins_of(campaign, known), campaign.simulator.outcomes
-    with campaign.custom_learner():
+    with campaign.custom_code(*LEARNER_KEYS):
         classifier = train(known.designs, known.outcome, outcomes, campaign.features, learner, warm, margins)
         if len(known) <= STARTED_AFRESH and isinstance(learner, VariationalGP):
             make = learner.prior
@@ -141,7 +141,7 @@ def _learned_of(campaign: Campaign, iteration: int, state: dict[str, NDArray[Any
     known, looks = history.training, looks_from_state(campaign, state)
     data = known.designs, known.outcome, campaign.simulator.outcomes
     margins = margins_of(campaign, known)
-    with campaign.custom_learner():
+    with campaign.custom_code(*LEARNER_KEYS):
         classifier = classifier_from_state(state, *data, campaign.features, learner_of(campaign), margins)
         return Learned(iteration, len(history), with_lost(campaign, classifier, history), looks)
 

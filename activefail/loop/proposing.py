@@ -4,18 +4,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
-from activefail.acquisition.batch_proposal import Search, propose_shared
-from activefail.acquisition.criteria import criterion, custom_criterion
+from activefail.acquisition.batch_proposal import Search, best_batch, propose_shared
+from activefail.acquisition.criteria import Choosing, criterion, custom_criterion
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
-from activefail.loop.learning import Learned
+from activefail.loop.learning import Learned, learner_of
 from activefail.loop.probability_rule import check_designs, needs_check
 from activefail.record.asked import are_among
 from activefail.record.batch import ACTIVE, CHECK
-from activefail.simulators.user_code import CRITERION_KEY
+from activefail.simulators.user_code import CRITERION_KEY, LEARNER_KEYS
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -34,6 +35,9 @@ _LEFT = 2**14
 
 _LATER = 10**9
 """Keeps the random streams of repeated proposals apart from those of later ones."""
+
+_TRIED = 16
+"""Designs on which custom code is tried; a power of two."""
 
 
 class Chosen(NamedTuple):
@@ -112,13 +116,12 @@ def next_designs(
         chosen: number of earlier active designs; the shares of boundaries and exploration carry over between batches.
         pending: (k, d) designs in flight, without a result yet.
     """
-    settings, name = campaign.settings, campaign.settings.acquisition.criterion
-    chosen_by = criterion(name) if isinstance(name, str) else custom_criterion(campaign.learner[CRITERION_KEY])
+    settings = campaign.settings
     propose = partial(
         propose_shared,
         classifier,
         campaign.space,
-        chosen_by,
+        criterion_of(campaign),
         boundaries=settings.acquisition.boundaries,
         exploration=settings.acquisition.exploration,
         first=chosen,
@@ -129,8 +132,29 @@ def next_designs(
         unseen=search_for_unseen(campaign, history, classifier),
         widening=1.0 if settings.probability_rule is None else WIDENING,
     )
-    with campaign.custom_learner():
+    with campaign.custom_code(CRITERION_KEY, *LEARNER_KEYS):
         return propose()
+
+
+def criterion_of(campaign: Campaign) -> Choosing:
+    """How a campaign chooses designs."""
+    name = campaign.settings.acquisition.criterion
+    return criterion(name) if isinstance(name, str) else custom_criterion(campaign.learner[CRITERION_KEY])
+
+
+def try_custom_code(campaign: Campaign) -> None:
+    """Learn and choose once with custom code, from made-up outcomes, before any simulation is paid for.
+
+    Raises:
+        InputError: if the code fails.
+    """
+    F = campaign.features(campaign.space.sobol(_TRIED, np.random.default_rng(0)))
+    with campaign.custom_code(*LEARNER_KEYS):
+        latent = learner_of(campaign).learned(F, F[:, 0] > np.median(F[:, 0]))
+        latent.moments(F)
+    with campaign.custom_code(CRITERION_KEY, *LEARNER_KEYS):
+        designs = torch.from_numpy(F)
+        best_batch(lambda model: criterion_of(campaign).make(model, designs), latent.model, designs, 2)
 
 
 def search_for_unseen(campaign: Campaign, history: History, classifier: Classifier) -> Search | None:

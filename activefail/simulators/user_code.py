@@ -18,6 +18,7 @@ SIMULATOR_KEY = "simulator.python"
 FEATURES_KEY = "classifier.features.python"
 KERNEL_KEY, LIKELIHOOD_KEY = "classifier.kernel.python", "classifier.likelihood.python"
 MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.python"
+LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 """The settings that name a user's functions; the record stores the digests of their sources under these keys."""
 
 

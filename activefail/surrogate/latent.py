@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from botorch.models.model import Model
+from botorch.settings import validate_input_scaling
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -98,7 +99,8 @@ class CustomLatent:
         return self._of(np.ones(len(self.labels), dtype=bool))
 
     def _of(self, rows: NDArray[np.bool_]) -> Model:
-        with torch.random.fork_rng():
+        # Features are scaled over the design space, not over the data: BoTorch's warnings of it say nothing.
+        with torch.random.fork_rng(), validate_input_scaling(False):
             torch.manual_seed(0)  # the same data give the same model
             model = self.make(torch.from_numpy(self.features[rows]), torch.from_numpy(self.labels[rows]))
         if not isinstance(model, Model):
