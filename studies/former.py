@@ -34,7 +34,7 @@ from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE
 from activefail.features import feature_map
-from activefail.surrogate.fitting import fit, make_prior
+from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent
 from activefail.surrogate.threads import one_thread
 
@@ -54,7 +54,7 @@ class Version:
 
     def __init__(self, is_former):
         if not is_former:
-            self.learn = partial(self._present, partial(make_prior, "matern52"))
+            self.learn = partial(self._present, partial(outcome_prior, "matern52"))
             self.latent, self.features, self.space = Latent, feature_map, TABLE_1
             self.propose, self.criterion = propose, criterion
             return

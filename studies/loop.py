@@ -56,7 +56,7 @@ from activefail.surrogate.sites import Sites, solve_sites
 from activefail.surrogate.threads import one_thread
 
 FRESH, BATCH, KERNEL = 4000, 10, "matern52"
-PRIOR = partial(fitting.make_prior, KERNEL)
+PRIOR = partial(fitting.outcome_prior, KERNEL)
 INDUCING, MINIBATCH = 500, 1000
 
 

@@ -18,13 +18,12 @@ from torch import Tensor
 from activefail.acquisition.population import Population, finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.boundary_gp import covariance as covariance_of
-from activefail.surrogate.boundary_gp import marginal, moments
+from activefail.surrogate.boundary_gp import marginal, moments, posterior_covariance
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.moments import LARGEST_FEATURE
 
-REFERENCES = 300
-"""Designs of the population that represent it in the criterion."""
+POINTS = 300
+"""Designs of a population that represent it."""
 
 _CANDIDATES = 50
 """Designs of the population from which the first of a batch is chosen; each further one adds `_MORE`."""
@@ -88,7 +87,7 @@ class DoubtReduction(AcquisitionFunction):
         """The criterion."""
         F = X.squeeze(-2)
         variance = marginal(self.model, F)[1].square().clamp_min(1e-12)
-        covariance = covariance_of(self.model, F, self._references)
+        covariance = posterior_covariance(self.model, F, self._references)
         after = expected_doubt(self._mean, self._sd, variance, covariance)
         fall: Tensor = (_doubt(self._mean / self._sd) - after) @ self._weight
         return fall
@@ -138,11 +137,11 @@ def candidates_by_margin(
     F = np.clip(finite(features, drawn.X), -LARGEST_FEATURE, LARGEST_FEATURE)
     uncertain = doubt(standardised(F))
     share = (drawn.weight * uncertain + LEAST) / (drawn.weight * uncertain + LEAST).sum()
-    references = rng.choice(len(F), REFERENCES, p=share)
+    references = rng.choice(len(F), POINTS, p=share)
     candidates = np.unique(rng.choice(len(F), _CANDIDATES + _MORE * q, p=share))
     if len(candidates) < q:
         others = np.setdiff1d(np.arange(len(F)), candidates)
         candidates = np.concatenate([candidates, rng.choice(others, q - len(candidates), replace=False)])
     # The references were drawn in proportion to the doubt before the batch.
     at, weight = torch.from_numpy(F[references]), torch.from_numpy(1.0 / np.maximum(uncertain[references], LEAST))
-    return Candidates(drawn.X[candidates], at, lambda model, at: DoubtReduction(model, at, weight / REFERENCES))
+    return Candidates(drawn.X[candidates], at, lambda model, at: DoubtReduction(model, at, weight / POINTS))

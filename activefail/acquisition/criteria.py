@@ -26,8 +26,7 @@ from scipy.special import owens_t
 from torch import Tensor
 
 from activefail.names import Criterion
-from activefail.surrogate.boundary_gp import covariance as covariance_of
-from activefail.surrogate.boundary_gp import marginal
+from activefail.surrogate.boundary_gp import marginal, posterior_covariance
 
 REFERENCES = 1024
 """Designs in the Sobol' sample that represents the design measure in a look-ahead criterion; a power of two."""
@@ -234,7 +233,9 @@ class LookAheadCriterion(AcquisitionFunction):
     def forward(self, X: Tensor) -> Tensor:
         """The criterion."""
         F = X.squeeze(-2)
-        return self._gain(*marginal(self.model, F), *self._moments, covariance_of(self.model, F, self._references))
+        return self._gain(
+            *marginal(self.model, F), *self._moments, posterior_covariance(self.model, F, self._references)
+        )
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
     with campaign.custom_code(*LEARNER_KEYS):
         classifier = train(known.designs, known.outcome, outcomes, campaign.features, learner, warm, margins)
         if len(known) <= STARTED_AFRESH and isinstance(learner, VariationalGP):
-            make = learner.prior
+            make = learner.default_prior
             latents = (_from_other_starts(one, make) if isinstance(one, Latent) else one for one in classifier.latents)
             classifier = replace(classifier, latents=tuple(latents))
         return with_lost(campaign, classifier, history)

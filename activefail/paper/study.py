@@ -27,7 +27,7 @@ from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
 from activefail.paper.published import tilted
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.fitting import fit, make_prior
+from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent
 
 SIZE = 250
@@ -217,7 +217,7 @@ def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
             return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
         case _:
             latent = Latent(
-                fit(torch.from_numpy(F), torch.from_numpy(failed.astype(float)), partial(make_prior, "rbf"))
+                fit(torch.from_numpy(F), torch.from_numpy(failed.astype(float)), partial(outcome_prior, "rbf"))
             )
             assert latent.length_scales is not None
             scales = latent.length_scales

@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
+from activefail.acquisition.by_margin import LEAST, POINTS, doubt, doubtful_population
 from activefail.features import FeatureMap
 from activefail.reliability.integral import ACCURACY, BoundariesOf, Lost, OfBoundary, both, integrate
 from activefail.space import Array, DesignSpace
+from activefail.surrogate.boundary_gp import joint
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import Latent
 from activefail.surrogate.margin import AnyLatent, MarginLatent
@@ -90,7 +91,7 @@ def posterior_sd(
         standardised, share = both(standardised, -lost), float((weight * ndtr(-lost)).mean() / weight.mean())
     uncertain = doubt(standardised)
     part = weight * uncertain + LEAST
-    rows = rng.choice(len(F), REFERENCES, p=part / part.sum())
+    rows = rng.choice(len(F), POINTS, p=part / part.sum())
     beyond = (_paths(latent, F[rows], rng) > 0.0).astype(np.float64)
     if impossible is not None:
         beyond *= ndtr(-_paths(impossible, F[rows], rng))
@@ -100,7 +101,7 @@ def posterior_sd(
 
 def _paths(latent: AnyLatent, F: Array, rng: np.random.Generator) -> Array:
     """Joint paths of a latent at scaled features, (n, m) -> (paths, n)."""
-    mean, covariance = latent.joint(F)
+    mean, covariance = joint(latent.model, F)
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(mean + rng.standard_normal((_PATHS, len(F))) @ root.T)

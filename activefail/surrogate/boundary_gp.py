@@ -272,7 +272,7 @@ def together(model: Model, F: Tensor) -> tuple[Tensor, Tensor]:
     return distribution.mean.reshape(len(F)), distribution.covariance_matrix
 
 
-def covariance(model: Model, F: Tensor, G: Tensor) -> Tensor:
+def posterior_covariance(model: Model, F: Tensor, G: Tensor) -> Tensor:
     """Covariance of a model between scaled features, (n, m) and (l, m) -> (n, l)."""
     if isinstance(model, BoundaryModel):
         return model.covariance(F, G)

@@ -14,38 +14,15 @@ NUGGET = 1e-6
 """Variance of a margin's noise in units of the prior variance, for a margin computed to a finite accuracy."""
 
 
-def check_kernel(kernel: str) -> None:
-    """Check the name of a kernel.
-
-    Raises:
-        ValueError: if it is unknown.
-    """
-    if kernel not in ("rbf", "matern52"):
-        raise ValueError(f"The covariance must be rbf or matern52, got {kernel!r}.")
-
-
-def correlation(kernel: str, A: Array, B: Array) -> Array:
-    """k(a, b)/σ² of features in units of their length scales, (n, m) and (l, m) -> (n, l).
+def correlation(kernel: str, A: Array, B: Array, with_slope: bool = False) -> tuple[Array, Array | None]:
+    """k(a, b)/σ², (n, l), of features in units of their length scales ℓ, (n, m) and (l, m), and its slope h, (n, l).
 
     Args:
         kernel: "rbf" (squared exponential, the paper's) or "matern52".
-
-    Raises:
-        ValueError: if the kernel is unknown.
+        A, B: the features.
+        with_slope: whether to compute h with ∂k/∂log ℓ_i = σ² h (a_i − b_i)².
     """
-    return _correlation(kernel, A, B, with_slope=False)[0]
-
-
-def correlation_and_slope(kernel: str, A: Array, B: Array) -> tuple[Array, Array]:
-    """As `correlation`, and h, (n, l), with ∂k/∂log ℓ_i = σ² h (a_i − b_i)² for the length scale ℓ_i."""
-    K, slope = _correlation(kernel, A, B, with_slope=True)
-    assert slope is not None
-    return K, slope
-
-
-def _correlation(kernel: str, A: Array, B: Array, with_slope: bool) -> tuple[Array, Array | None]:
     # In place, because memory access dominates the time for many points.
-    check_kernel(kernel)
     if kernel == "rbf":
         K = cdist(A, B, "sqeuclidean")
         K *= -0.5

@@ -22,16 +22,15 @@ from activefail.surrogate.boundary_gp import BoundaryModel, SiteStrategy
 from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.inducing import LEFT, MOST, choose, jittered, project
 from activefail.surrogate.kernels import (
-    OUTPUTSCALE_PRIOR,
+    LEARNED_ON,
     Bounds,
     MakeKernel,
     Prior,
-    length_scale_prior,
     minimise,
     scaled_kernel,
 )
 from activefail.surrogate.likelihoods import Probit, expectations, marginals
-from activefail.surrogate.readout import Readout, of_all, of_inducing
+from activefail.surrogate.readout import EXACT, readout_of
 from activefail.surrogate.sites import (
     Posterior,
     Projection,
@@ -42,12 +41,6 @@ from activefail.surrogate.sites import (
     solve_sites,
     whitened,
 )
-
-EXACT = 1000
-"""Most points without inducing points: a step of the sites costs the cube of their number."""
-
-LEARNED_ON = 1000
-"""Most points for learning hyperparameters."""
 
 COARSE = 250
 """Points on which hyperparameters are learned first; with more, inducing points are used while they are learned."""
@@ -61,11 +54,15 @@ _ROUNDS = 3
 GROWTH = 0.05
 """A warm start keeps its hyperparameters until the number of points has grown by this share since they were learned."""
 
+_OUTPUTSCALE = (math.log(10.0), 2.0)
+"""Mean and standard deviation of the output scale's logarithm. Flat, because a sharp boundary needs a latent many times
+as large as the likelihood's unit width."""
+
 MakePrior = Callable[[int], Prior]
 """Number of features -> prior with its default parameters."""
 
 
-def make_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[], Any] = Probit) -> Prior:
+def outcome_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[], Any] = Probit) -> Prior:
     """The prior of a latent that is learned from outcomes.
 
     Args:
@@ -75,7 +72,6 @@ def make_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[]
 
     Raises:
         InputError: if custom code makes no kernel, or no likelihood.
-        ValueError: if the kernel is unknown.
     """
     labels = likelihood()
     if not isinstance(labels, Probit):
@@ -87,7 +83,9 @@ def make_prior(kernel: str | MakeKernel, dimension: int, likelihood: Callable[[]
         if not isinstance(covariance, gpytorch.kernels.Kernel):
             raise InputError(f"classifier.kernel: must return a GPyTorch kernel, got {type(covariance).__name__}.")
         return Prior(covariance.double(), labels.double(), {})
-    covariance = scaled_kernel(kernel, dimension, length_scale_prior(dimension), OUTPUTSCALE_PRIOR)
+    # The length scale grows with the root of the dimension [HvarfnerEtAl2024].
+    of_lengthscale = math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
+    covariance = scaled_kernel(kernel, dimension, of_lengthscale, _OUTPUTSCALE)
     covariance.initialize(outputscale=10.0)
     # A length scale of the features' spread times the root of their number, as in the prior.
     covariance.base_kernel.initialize(lengthscale=math.sqrt(dimension))
@@ -136,9 +134,7 @@ class Fit:
             Kx = None if self.inducing is None else prior.covariance(Z, self.features).numpy()
             mean = float(prior.mean_module(Z[:1]))
         linear, precision = (site.numpy() for site in self.sites)
-        matrices: Readout = (
-            of_all(K, mean, linear, precision) if Kx is None else of_inducing(K, Kx, mean, linear, precision)
-        )
+        matrices = readout_of(K, Kx, mean, linear, precision)
         return BoundaryModel.of(SiteStrategy(prior, Z, matrices, None, JITTER))
 
 
@@ -324,7 +320,9 @@ def _learn_hyperparameters(
     return sites
 
 
-def fit(features: Tensor, labels: Tensor, prior: MakePrior, warm: Fit | None = None, tolerance: float = 1e-3) -> Fit:
+def fit(
+    features: Tensor, labels: Tensor, make_prior: MakePrior, warm: Fit | None = None, tolerance: float = 1e-3
+) -> Fit:
     """Train a latent by maximising the bound plus the hyperparameters' log prior.
 
     The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows. The posterior is that
@@ -333,7 +331,7 @@ def fit(features: Tensor, labels: Tensor, prior: MakePrior, warm: Fit | None = N
     Args:
         features: (n, m) in standard units, float64.
         labels: (n,) of 0 and 1, float64.
-        prior: makes the prior with its default parameters.
+        make_prior: makes the prior with its default parameters.
         warm: an earlier fit to the first of these points, as the starting point; if few points were added, its
             hyperparameters are kept.
         tolerance: tolerance of the objective [nats] for up to `EXACT` points; the sites of a step are solved to a tenth
@@ -358,7 +356,7 @@ def fit(features: Tensor, labels: Tensor, prior: MakePrior, warm: Fit | None = N
         rows = _spread(n, size)
         # On a subset the objective is uncertain by several nats anyway.
         subset_tolerance = tolerance if size == n else 10.0 * tolerance
-        learned = learn(features[rows], labels[rows], prior, learned, subset_tolerance)
+        learned = learn(features[rows], labels[rows], make_prior, learned, subset_tolerance)
     assert learned is not None
     conditioned = partial(condition, features=features, labels=labels, tolerance=accuracy, learned_on=n)
     if n <= LEARNED_ON:
@@ -397,10 +395,10 @@ def _spread(n: int, size: int) -> Tensor:
     return torch.arange(n) if n <= size else torch.linspace(0, n - 1, size).round().long()
 
 
-def learn(features: Tensor, labels: Tensor, prior: MakePrior, warm: Fit | None, tolerance: float) -> Fit:
+def learn(features: Tensor, labels: Tensor, make_prior: MakePrior, warm: Fit | None, tolerance: float) -> Fit:
     """Hyperparameters learned on points, starting from an earlier fit to any points, with their sites."""
     if warm is None:
-        n, start, sites = len(labels), prior(features.shape[1]), _first_sites(labels)
+        n, start, sites = len(labels), make_prior(features.shape[1]), _first_sites(labels)
         share = labels.mean().clamp(1.0 / (n + 1), n / (n + 1.0))
         start.mean_module.initialize(constant=torch.special.ndtri(share))
     else:

@@ -1,6 +1,5 @@
 """The prior of a latent in GPyTorch: a constant mean, a kernel and a likelihood, with priors of their parameters."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,11 +11,10 @@ from botorch.optim.utils import get_bounds_as_ndarray
 from scipy.optimize import minimize
 from torch import Tensor
 
-from activefail.surrogate.covariance import check_kernel, correlation, correlation_and_slope
+from activefail.surrogate.covariance import correlation
 
-OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
-"""Mean and standard deviation of the output scale's logarithm. Flat, because a sharp boundary needs a latent many times
-as large as the likelihood's unit width."""
+LEARNED_ON = 1000
+"""Most points for learning hyperparameters: a step of the search costs the cube of their number."""
 
 MakeKernel = Callable[[int], gpytorch.kernels.Kernel]
 """Number of features -> kernel: what a user's `classifier.kernel` is."""
@@ -27,25 +25,16 @@ _POSITIVE = {"transform": torch.exp, "inv_transform": torch.log}
 Bounds = dict[str, tuple[float | None, float | None]]
 
 
-def length_scale_prior(dimension: int) -> tuple[float, float]:
-    """Mean and standard deviation of a length scale's logarithm, in units of the features' spread.
-
-    The length scale grows with the root of the dimension [HvarfnerEtAl2024].
-    """
-    return math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
-
-
 class _Correlation(torch.autograd.Function):
     """`covariance.correlation` of features, with its closed derivative by the length scales."""
 
     @staticmethod
     def forward(ctx: Any, F: Tensor, G: Tensor, lengthscale: Tensor, kernel: str) -> Tensor:
         A, B = (F / lengthscale).numpy(), (G / lengthscale).numpy()
-        if not ctx.needs_input_grad[2]:
-            return torch.from_numpy(correlation(kernel, A, B))
-        K, slope = (torch.from_numpy(array) for array in correlation_and_slope(kernel, A, B))
-        ctx.save_for_backward(torch.from_numpy(A), torch.from_numpy(B), lengthscale, slope)
-        return K
+        K, slope = correlation(kernel, A, B, with_slope=ctx.needs_input_grad[2])
+        if slope is not None:
+            ctx.save_for_backward(torch.from_numpy(A), torch.from_numpy(B), lengthscale, torch.from_numpy(slope))
+        return torch.from_numpy(K)
 
     @staticmethod
     def backward(ctx: Any, *by_value: Tensor) -> tuple[None, None, Tensor, None]:
@@ -55,31 +44,28 @@ class _Correlation(torch.autograd.Function):
         return None, None, by_logarithm.unsqueeze(0) / lengthscale, None
 
 
-def _is_plain(F: Tensor, G: Tensor, diag: bool) -> bool:
-    return not diag and F.dim() == 2 and G.dim() == 2 and not (F.requires_grad or G.requires_grad)
+class _BuiltIn(gpytorch.kernels.Kernel):
+    """A kernel of GPyTorch, faster where no derivative by the features is needed."""
 
-
-class Matern52(gpytorch.kernels.MaternKernel):
-    """GPyTorch's Matérn-5/2, faster where no derivative by the features is needed."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(nu=2.5, **options)
+    name: str
 
     def forward(self, x1: Tensor, x2: Tensor, diag: bool = False, **params: Any) -> Tensor:
         """Correlations of features, (..., n, m) and (..., l, m) -> (..., n, l)."""
-        if _is_plain(x1, x2, diag):
-            return torch.as_tensor(_Correlation.apply(x1, x2, self.lengthscale, "matern52"))
-        return torch.as_tensor(super().forward(x1, x2, diag=diag, **params))
+        if diag or x1.dim() > 2 or x2.dim() > 2 or x1.requires_grad or x2.requires_grad:
+            return torch.as_tensor(super().forward(x1, x2, diag=diag, **params))
+        return torch.as_tensor(_Correlation.apply(x1, x2, self.lengthscale, self.name))
 
 
-class SquaredExponential(gpytorch.kernels.RBFKernel):
-    """GPyTorch's squared exponential, faster where no derivative by the features is needed."""
+class Matern52(_BuiltIn, gpytorch.kernels.MaternKernel):
+    """Matérn-5/2, whose smoothness is GPyTorch's default."""
 
-    def forward(self, x1: Tensor, x2: Tensor, diag: bool = False, **params: Any) -> Tensor:
-        """Correlations of features, (..., n, m) and (..., l, m) -> (..., n, l)."""
-        if _is_plain(x1, x2, diag):
-            return torch.as_tensor(_Correlation.apply(x1, x2, self.lengthscale, "rbf"))
-        return torch.as_tensor(super().forward(x1, x2, diag=diag, **params))
+    name = "matern52"
+
+
+class SquaredExponential(_BuiltIn, gpytorch.kernels.RBFKernel):
+    """The squared exponential."""
+
+    name = "rbf"
 
 
 def scaled_kernel(
@@ -91,11 +77,7 @@ def scaled_kernel(
         kernel: "rbf" or "matern52".
         dimension: number of features.
         of_lengthscale, of_outputscale: mean and standard deviation of the logarithms' normal priors.
-
-    Raises:
-        ValueError: if the kernel is unknown.
     """
-    check_kernel(kernel)
     positive, log_normal = gpytorch.constraints.Positive(**_POSITIVE), gpytorch.priors.LogNormalPrior
     base = (SquaredExponential if kernel == "rbf" else Matern52)(
         ard_num_dims=dimension, lengthscale_constraint=positive, lengthscale_prior=log_normal(*of_lengthscale)
@@ -105,9 +87,7 @@ def scaled_kernel(
 
 
 def _is_built_in(kernel: gpytorch.kernels.Kernel) -> bool:
-    return isinstance(kernel, gpytorch.kernels.ScaleKernel) and isinstance(
-        kernel.base_kernel, Matern52 | SquaredExponential
-    )
+    return isinstance(kernel, gpytorch.kernels.ScaleKernel) and isinstance(kernel.base_kernel, _BuiltIn)
 
 
 class Prior(gpytorch.Module):

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from activefail.errors import InputError
 from activefail.space import Array
-from activefail.surrogate.boundary_gp import joint, moments
-from activefail.surrogate.fitting import Fit, fit, leave_one_out, make_prior
+from activefail.surrogate.boundary_gp import moments
+from activefail.surrogate.fitting import Fit, fit, leave_one_out, outcome_prior
 from activefail.surrogate.kernels import MakeKernel, Prior
 from activefail.surrogate.likelihoods import Probit, probability
 from activefail.surrogate.moments import LinkedMoments, MarginMoments, Moments
@@ -31,8 +31,8 @@ class Latent:
 
     trained: Fit
 
-    regression = None
-    """No margin's regression (see `margin.MarginLatent`)."""
+    margin_data = None
+    """It is learned from no margin (see `margin.MarginLatent`)."""
 
     @property
     def model(self) -> Model:
@@ -58,10 +58,6 @@ class Latent:
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         return self._linked(*moments(self.model, F))
-
-    def joint(self, F: Array) -> tuple[Array, Array]:
-        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
-        return joint(self.model, F)
 
     def left_out(self) -> Moments:
         """Moments at each training point without its own label, with hyperparameters unchanged, (n,)."""
@@ -90,7 +86,7 @@ class CustomLatent:
     features: Array
     labels: Array
 
-    regression = None
+    margin_data = None
     length_scales = None
 
     @cached_property
@@ -116,10 +112,6 @@ class CustomLatent:
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         return self._linked(self.model, *moments(self.model, F))
-
-    def joint(self, F: Array) -> tuple[Array, Array]:
-        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
-        return joint(self.model, F)
 
     def left_out(self) -> Moments:
         """Moments at each training point of a model without it and a tenth of the others, (n,)."""
@@ -151,14 +143,14 @@ class VariationalGP:
     kernel: str | MakeKernel = "rbf"
     likelihood: Callable[[], Any] = Probit
 
-    def prior(self, dimension: int) -> Prior:
+    def default_prior(self, dimension: int) -> Prior:
         """The prior of features with this dimension, with its default parameters."""
-        return make_prior(self.kernel, dimension, self.likelihood)
+        return outcome_prior(self.kernel, dimension, self.likelihood)
 
     def learned(self, F: Array, beyond: NDArray[np.bool_], warm: object = None) -> Latent:
         """The latent of scaled features, (n, m), and sides of the boundary, (n,), from an earlier one of the first."""
         start = warm.trained if isinstance(warm, Latent) else None
-        return Latent(fit(torch.from_numpy(F), torch.from_numpy(beyond.astype(float)), self.prior, start))
+        return Latent(fit(torch.from_numpy(F), torch.from_numpy(beyond.astype(float)), self.default_prior, start))
 
 
 @dataclass(frozen=True)

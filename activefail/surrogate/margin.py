@@ -20,18 +20,17 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
-from scipy.special import log_ndtr
 
 from activefail.space import Array
 from activefail.surrogate.boundary_gp import BoundaryModel, SiteStrategy, joint, moments
 from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
 from activefail.surrogate.covariance import NUGGET
 from activefail.surrogate.inducing import choose
-from activefail.surrogate.kernels import Bounds, Prior, minimise, scaled_kernel
+from activefail.surrogate.kernels import LEARNED_ON, Bounds, Prior, minimise, scaled_kernel
 from activefail.surrogate.latent import CustomLatent, Latent
-from activefail.surrogate.margin_data import EXACT, KERNEL, WARPINGS, MarginData, is_truncated, spread
+from activefail.surrogate.margin_data import KERNEL, WARPINGS, MarginData, is_truncated, spread
 from activefail.surrogate.moments import MarginMoments
-from activefail.surrogate.readout import Readout, Regression, regression
+from activefail.surrogate.readout import EXACT, MarginReadout, Readout, margin_readout
 
 _ALWAYS, _GROWTH = 30, 0.05
 """Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
@@ -39,24 +38,11 @@ _ALWAYS, _GROWTH = 30, 0.05
 _SEARCH = {"ftol": 1e-7, "gtol": 1e-3, "maxiter": 200}
 """Options of L-BFGS: the likelihood is as good as found when a step gains a ten-millionth of it."""
 
-LEARNED_ON = 1000
-"""Most points for learning hyperparameters: a step of the search costs the cube of their number. They are evenly spread
-over the sorted margins; a surplus of points near the boundary would make the regression too sure of itself."""
-
-COARSE = 500
+WARPED_ON = 500
 """Most points for choosing a warping; with more, the hyperparameters learned there are the starting point."""
 
 INDUCING = 1000
 """Most inducing points."""
-
-
-def length_scale_prior(dimension: int) -> tuple[float, float]:
-    """Mean and standard deviation of a length scale's logarithm: median 2√d, in units of the features' spread.
-
-    It is narrower than the classifier's (`kernels.length_scale_prior`): with a dozen margins the likelihood alone
-    would take some variables for irrelevant.
-    """
-    return math.log(2.0 * math.sqrt(dimension)), 1.0
 
 
 @dataclass(frozen=True)
@@ -96,20 +82,20 @@ class MarginFit:
         return float(self.prior.mean_module(self._one).detach())
 
     @cached_property
-    def regression(self) -> Regression:
+    def readout(self) -> MarginReadout:
         """The matrices of predictions of the warped margin."""
         points, data = torch.from_numpy(self.data.points), self.data
         with torch.no_grad():
             K = self.prior.covariance(self.support).numpy()
             Kx = None if data.inducing is None else self.prior.covariance(self.support, points).numpy()
             variance = self.prior.variance(points).numpy()
-        return regression(K, Kx, variance, self.mean, *data.observed(self.nugget), self.nugget)
+        return margin_readout(K, Kx, variance, self.mean, *data.observed(self.nugget), self.nugget)
 
     def model(self, threshold: float) -> BoundaryModel:
         """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
         likelihood.noise = self.nugget
-        readout, trend, _ = self.regression
+        readout, trend, _ = self.readout
         prior, of_latent = Prior(self.prior.covar_module, likelihood, {}), Readout(-readout.weights, readout.root)
         prior.mean_module.initialize(constant=threshold - self.mean)
         return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget))
@@ -134,7 +120,7 @@ class MarginFit:
     def _left_out_of_all(self) -> tuple[Array, Array]:
         """In closed form [RasmussenWilliams2006, section 5.4.2]."""
         target, of_sites = self.data.observed(self.nugget)
-        (_, root), (ones, total), _ = self.regression
+        (_, root), (ones, total), _ = self.readout
         Q = root.T @ root - np.outer(ones, ones) / total
         diagonal = Q.diagonal()
         # The variance of a left-out observation includes its own site's variance, which is not that of the margin.
@@ -150,7 +136,7 @@ class MarginFit:
     def _left_out_of_inducing(self) -> tuple[Array, Array]:
         """By dividing the point's site out of the posterior [RasmussenWilliams2006, eq. 3.56]."""
         target, noise = self.data.observed(self.nugget)
-        rest = self.regression.rest
+        rest = self.readout.rest
         mean, sd = self._moments(self.data.points)
         explained = np.maximum(sd**2 - rest - self.nugget, 1e-12)
         precision = np.maximum(1.0 / explained - 1.0 / (noise + rest), 1e-12)
@@ -161,12 +147,6 @@ class MarginFit:
         """Mean and standard deviation of the warped margin at scaled features, (n, m); each (n,)."""
         mean, sd = self._at_zero.moments(torch.from_numpy(F))
         return -mean.numpy(), sd.numpy()
-
-    def sign_score(self) -> float:
-        """Mean log probability of the left-out designs' sides of the boundary [nat]."""
-        mean, sd = self.left_out()
-        side = np.where(self.data.margin <= 0.0, -1.0, 1.0)
-        return float(log_ndtr(side * mean / sd).mean())
 
 
 def _inverse(L: Array) -> Array:
@@ -205,13 +185,19 @@ def _conditioned(K: Array, y: Array, censored: NDArray[np.bool_], mean: float, s
     return _Conditioned(value + result.log_evidence, result.sites, L, cho_solve((L, True), target))
 
 
-def make_prior(dimension: int) -> Prior:
+def margin_prior(dimension: int) -> Prior:
     """The prior of a warped margin, without a prior of the output scale, whose unit is the margin's.
 
+    The median of a length scale is 2√d, in units of the features' spread. Its prior is narrower than the classifier's:
+    with a dozen margins the likelihood alone would take some variables for irrelevant.
+
     Args:
-        dimension: number of features.
+        dimension: d, the number of features.
     """
-    return Prior(scaled_kernel(KERNEL, dimension, length_scale_prior(dimension), None), None, {})
+    center = math.log(2.0 * math.sqrt(dimension))
+    prior = Prior(scaled_kernel(KERNEL, dimension, (center, 1.0), None), None, {})
+    prior.covar_module.base_kernel.initialize(lengthscale=math.exp(center))
+    return prior
 
 
 def penalised_likelihood(
@@ -276,20 +262,21 @@ def fit_margin(
         return _solved_at(features, margin, warm)
     n = len(margin)
     best = warm
-    if best is None or truncated != best.data.truncated or min(n, best.learned_on) <= COARSE:
-        rows = _spread(margin, COARSE)
+    if best is None or truncated != best.data.truncated or min(n, best.learned_on) <= WARPED_ON:
+        rows = _over_margins(margin, WARPED_ON)
         fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
         best = max(fits, key=lambda fitted: fitted.log_likelihood)
-    if n > COARSE:
-        rows = _spread(margin, LEARNED_ON)
+    if n > WARPED_ON:
+        rows = _over_margins(margin, LEARNED_ON)
         best = _fit_warped(features[rows], margin[rows], truncated, best.data.warping, best)
     return best if len(best.data.margin) == n else _solved_at(features, margin, replace(best, learned_on=n))
 
 
-def _spread(margin: Array, most: int) -> NDArray[np.intp]:
-    """Rows of at most `most` points, in order, evenly spread over the sorted margins, (n,)."""
-    if len(margin) <= most:
-        return np.arange(len(margin))
+def _over_margins(margin: Array, most: int) -> NDArray[np.intp]:
+    """Rows of at most `most` points, in order, evenly spread over the sorted margins, (n,).
+
+    A surplus of points near the boundary would make the regression too sure of itself.
+    """
     return np.sort(spread(np.argsort(margin, kind="stable"), most))
 
 
@@ -327,12 +314,9 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     y = warp(margin / unit)
     exact_y = y[~censored]
     scale = max(float(exact_y.std()), 1e-3)
-    center, _ = length_scale_prior(features.shape[1])
-    prior = make_prior(features.shape[1]) if warm is None else copy.deepcopy(warm.prior)
+    prior = margin_prior(features.shape[1]) if warm is None else copy.deepcopy(warm.prior)
     prior.mean_module.initialize(constant=float(exact_y.mean()))
     prior.covar_module.initialize(outputscale=(2.0 * scale) ** 2)
-    if warm is None:
-        prior.covar_module.base_kernel.initialize(lengthscale=math.exp(center))
     sites, value = first_sites(censored, scale), math.nan
 
     def negative() -> tuple[torch.Tensor, list[torch.Tensor]]:
@@ -340,10 +324,10 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
         value, gradient, sites = penalised_likelihood(prior, features, y, censored, sites)
         return torch.tensor(-value, dtype=torch.float64), [-of for of in gradient]
 
-    spread = 2.0 * math.log(scale)
+    log_variance = 2.0 * math.log(scale)
     bounds: Bounds = {
         "mean_module.raw_constant": (float(exact_y.min()) - 20.0 * scale, float(exact_y.max()) + 3.0 * scale),
-        "covar_module.raw_outputscale": (spread - 4.0, spread + 14.0),
+        "covar_module.raw_outputscale": (log_variance - 4.0, log_variance + 14.0),
         "covar_module.base_kernel.raw_lengthscale": (-4.0, 8.0),
     }
     prior.requires_grad_(True)
@@ -371,9 +355,9 @@ class MarginLatent:
     level: float = 0.0
 
     @property
-    def regression(self) -> MarginFit:
-        """The regression, by which boundaries of one margin know each other."""
-        return self.trained
+    def margin_data(self) -> MarginData:
+        """The margins, which boundaries of one margin share."""
+        return self.trained.data
 
     @property
     def threshold(self) -> float:
@@ -403,10 +387,6 @@ class MarginLatent:
     def moments(self, F: Array) -> MarginMoments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         return MarginMoments(*moments(self.model, F))
-
-    def joint(self, F: Array) -> tuple[Array, Array]:
-        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
-        return joint(self.model, F)
 
     def deviations(self, F: Array, margin: Array) -> Array:
         """How far margins, (n,), lie beyond their means at scaled features, (n, m), in standard deviations.

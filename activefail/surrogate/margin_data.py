@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from activefail.space import Array
 from activefail.surrogate.censored import CensoredSites
+from activefail.surrogate.readout import EXACT
 
 KERNEL = "matern52"
 """The kernel of every regression."""
@@ -33,9 +34,6 @@ MOST = 20_000
 
 MOST_CENSORED = 300
 """Most censored points in the posterior of many: a step of expectation propagation costs the cube of their number."""
-
-EXACT = 1000
-"""Most points without inducing points: learning costs the cube of their number."""
 
 
 def is_truncated(margin: Array) -> bool:

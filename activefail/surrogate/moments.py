@@ -137,9 +137,9 @@ def nested_probits(z: Array, is_nested: bool) -> Array:
 
 
 def is_nested(latents: Sequence[Any]) -> bool:
-    """Whether all boundaries are levels of one margin's regression."""
-    regressions = [latent.regression for latent in latents]
-    return regressions[0] is not None and all(one is regressions[0] for one in regressions)
+    """Whether all boundaries are levels of one margin."""
+    shared = [latent.margin_data for latent in latents]
+    return shared[0] is not None and all(one is shared[0] for one in shared)
 
 
 CERTAIN = 38.0

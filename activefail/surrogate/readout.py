@@ -11,6 +11,9 @@ from scipy.linalg.lapack import dtrtri
 
 from activefail.space import Array
 
+EXACT = 1000
+"""Most points as support; of more, some are inducing points. A step of the sites costs the cube of their number."""
+
 
 class Readout(NamedTuple):
     """The matrices of m support points."""
@@ -26,34 +29,25 @@ class Trend(NamedTuple):
     total: float  # 1ᵀA⁻¹1
 
 
-def of_all(K: Array, mean: float, linear: Array, precision: Array) -> Readout:
-    """With all n points as support.
+def readout_of(K: Array, Kx: Array | None, mean: float, linear: Array, precision: Array) -> Readout:
+    """With all n points as support, or m inducing points.
 
     Args:
-        K: (n, n) their prior covariance, with the jitter.
+        K: prior covariance of the support, with the jitter.
+        Kx: (m, n) covariance of inducing points with the training points; None without inducing points.
         mean: of the prior.
         linear, precision: (n,) the sites.
     """
     root, pull = np.sqrt(precision), linear - precision * mean
+    if Kx is not None:
+        L = cholesky(K, lower=True)
+        weights, of_inducing = _of_projection(L, solve_triangular(L, Kx, lower=True), pull[:, None], precision)
+        return Readout(weights[:, 0], of_inducing)
     L = cholesky(np.eye(len(K)) + root[:, None] * K * root, lower=True)
     # A site whose precision underflows says nothing.
     scaled = np.divide(pull, root, out=np.zeros_like(root), where=root > 0.0)
     inverse, _ = dtrtri(L, lower=1)  # K − K W^½ B⁻¹ W^½ K with B = LLᵀ
     return Readout(root * cho_solve((L, True), scaled), np.tril(inverse) * root)
-
-
-def of_inducing(K: Array, Kx: Array, mean: float, linear: Array, precision: Array) -> Readout:
-    """With m inducing points as support.
-
-    Args:
-        K: (m, m) their prior covariance, with the jitter.
-        Kx: (m, n) their covariance with the training points.
-        mean, linear, precision: as for `of_all`.
-    """
-    L = cholesky(K, lower=True)
-    V = solve_triangular(L, Kx, lower=True)
-    weights, root = _of_projection(L, V, (linear - precision * mean)[:, None], precision)
-    return Readout(weights[:, 0], root)
 
 
 def _of_projection(L: Array, V: Array, pulls: Array, precision: Array) -> tuple[Array, Array]:
@@ -74,18 +68,18 @@ def _of_projection(L: Array, V: Array, pulls: Array, precision: Array) -> tuple[
     return both[:, : pulls.shape[1]], both[:, pulls.shape[1] :].T.copy()
 
 
-class Regression(NamedTuple):
-    """What predictions of a regression need of its support."""
+class MarginReadout(NamedTuple):
+    """What predictions of a margin need of its support."""
 
     readout: Readout
     trend: Trend
     rest: Array  # (n,) prior variance that inducing points do not explain; 0 without them
 
 
-def regression(
+def margin_readout(
     K: Array, Kx: Array | None, variance: Array, mean: float, target: Array, noise: Array, nugget: float
-) -> Regression:
-    """A regression with an estimated mean, whose support are all n points, or m inducing points.
+) -> MarginReadout:
+    """With an estimated mean, whose support are all n points, or m inducing points.
 
     With inducing points each observation has the unexplained variance as noise too (FITC,
     [QuinoneroCandelaRasmussen2005]).
@@ -99,8 +93,9 @@ def regression(
         nugget: jitter of K, for inducing points.
     """
     if Kx is None:
-        readout = of_all(K, mean, target / noise, 1.0 / noise)
-        return Regression(readout, trend_of(readout), np.zeros(len(target)))
+        readout = readout_of(K, None, mean, target / noise, 1.0 / noise)
+        ones = readout.root.T @ readout.root.sum(axis=1)  # rootᵀ root is (K + W⁻¹)⁻¹
+        return MarginReadout(readout, Trend(ones, float(ones.sum())), np.zeros(len(target)))
     L = cholesky(K + nugget * np.eye(len(K)), lower=True)
     V = solve_triangular(L, Kx, lower=True)
     rest = np.maximum(variance - np.einsum("ij,ij->j", V, V), 0.0)
@@ -109,10 +104,4 @@ def regression(
     pulls = np.column_stack([precision * (target - mean), precision])
     weights, root = _of_projection(L, V, pulls, precision)
     ones = weights[:, 1].copy()
-    return Regression(Readout(weights[:, 0].copy(), root), Trend(ones, float(precision @ (1.0 - ones @ Kx))), rest)
-
-
-def trend_of(readout: Readout) -> Trend:
-    """Of a readout `of_all`, whose rootᵀ root is (K + W⁻¹)⁻¹."""
-    ones = readout.root.T @ readout.root.sum(axis=1)
-    return Trend(ones, float(ones.sum()))
+    return MarginReadout(Readout(weights[:, 0].copy(), root), Trend(ones, float(precision @ (1.0 - ones @ Kx))), rest)

@@ -17,7 +17,7 @@ from activefail.surrogate.covariance import JITTER, NUGGET, correlation
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, LearnableMargins, defined, learned_with, level_of
 from activefail.surrogate.margin_data import KERNEL, WARPINGS, MarginData
 from activefail.surrogate.moments import MarginMoments, Moments, Predicted, in_parts, predicted
-from activefail.surrogate.readout import Readout, Trend, of_all, of_inducing, regression
+from activefail.surrogate.readout import Readout, Trend, margin_readout, readout_of
 
 State = Mapping[str, NDArray[Any]]
 """The arrays of `state.classifier_state`."""
@@ -80,7 +80,7 @@ class SavedPrior:
 
     def covariance(self, F: Array, G: Array, jitter: float | None = None) -> Array:
         """k(F, G), (n, l), with a jitter on its diagonal."""
-        K = self.variance * correlation(self.kernel, F / self.length_scales, G / self.length_scales)
+        K = self.variance * correlation(self.kernel, F / self.length_scales, G / self.length_scales)[0]
         if jitter is not None:
             K[np.diag_indices(len(K))] += jitter
         return K
@@ -95,8 +95,8 @@ class SavedLatent:
         support: (s, m) scaled features.
         readout, trend: the matrices of predictions.
         jitter: added to the variance of a point, and its least value.
-        regression: of its margin, by which boundaries of one margin know each other; None if there is none.
-        threshold: the level of the margin in its regression's units.
+        margin_data: that boundaries of one margin share; None if it is learned from outcomes.
+        threshold: the level of the margin in its warped units.
     """
 
     prior: SavedPrior
@@ -104,13 +104,13 @@ class SavedLatent:
     readout: Readout
     trend: Trend | None = None
     jitter: float = JITTER
-    regression: MarginData | None = None
+    margin_data: MarginData | None = None
     threshold: float = 0.0
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         mean, sd = in_parts(F, self._moments)
-        return Moments(mean, sd) if self.regression is None else MarginMoments(self.threshold - mean, sd)
+        return Moments(mean, sd) if self.margin_data is None else MarginMoments(self.threshold - mean, sd)
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
@@ -173,8 +173,8 @@ def saved_classifier(
         if source.name not in regressions:
             regressions[source.name] = _of_margin(state, source.name, F, source.margin)
         latent = regressions[source.name]
-        assert latent.regression is not None
-        latents.append(replace(latent, threshold=float(latent.regression.warped(np.array(source.level)))))
+        assert latent.margin_data is not None
+        latents.append(replace(latent, threshold=float(latent.margin_data.warped(np.array(source.level)))))
     for latent in latents:
         check(latent, F)
     return SavedClassifier(tuple(outcomes), features, tuple(latents))
@@ -183,19 +183,17 @@ def saved_classifier(
 def _of_outcomes(state: State, name: str, kernel: str, F: Array) -> SavedLatent:
     prior, inducing = SavedPrior.of(kernel, state, name), state.get(f"{name}/inducing")
     sites = prior.mean, state[f"{name}/site_linear"], state[f"{name}/site_precision"]
-    if inducing is None:
-        return SavedLatent(prior, F, of_all(prior.covariance(F, F, JITTER), *sites))
-    Z = F[inducing]
-    return SavedLatent(prior, Z, of_inducing(prior.covariance(Z, Z, JITTER), prior.covariance(Z, F), *sites))
+    Z, Kx = (F, None) if inducing is None else (F[inducing], prior.covariance(F[inducing], F))
+    return SavedLatent(prior, Z, readout_of(prior.covariance(Z, Z, JITTER), Kx, *sites))
 
 
 def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
-    prior, data = SavedPrior.of(KERNEL, state, name), margin_data(state, name, F, margin)
+    prior, data = SavedPrior.of(KERNEL, state, name), margin_data_of(state, name, F, margin)
     nugget, support = NUGGET * prior.variance, data.support
     Kx = None if data.inducing is None else prior.covariance(support, data.points)
     variance = np.full(len(data.points), prior.variance)
     K, observed = prior.covariance(support, support), data.observed(nugget)
-    readout, trend, _ = regression(K, Kx, variance, prior.mean, *observed, nugget)
+    readout, trend, _ = margin_readout(K, Kx, variance, prior.mean, *observed, nugget)
     return SavedLatent(prior, support, readout, trend, nugget, data)
 
 
@@ -229,7 +227,7 @@ def choices_of(state: State, outcomes: Sequence[str], margins: LearnableMargins 
     )
 
 
-def margin_data(state: State, name: str, F: Array, margin: Array) -> MarginData:
+def margin_data_of(state: State, name: str, F: Array, margin: Array) -> MarginData:
     """The data of a regression: its margins, (n,), at scaled features, (n, m), and what a state says of them."""
     values, _ = defined(margin)
     truncated, warping = (int(state[f"{name}/{key}"]) for key in ("truncated", "warping"))

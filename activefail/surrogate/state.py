@@ -14,11 +14,10 @@ from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.kernels import Prior
 from activefail.surrogate.latent import CustomLatent, CustomModel, Latent, Learner, VariationalGP
-from activefail.surrogate.margin import AnyLatent, MarginFit, MarginLatent
-from activefail.surrogate.margin import make_prior as prior_of_margin
+from activefail.surrogate.margin import AnyLatent, MarginFit, MarginLatent, margin_prior
 from activefail.surrogate.margin_choice import LearnableMargins
 from activefail.surrogate.margin_data import WARPINGS
-from activefail.surrogate.saved import SCALING, State, check, choices_of, margin_data, of_any_version, sources
+from activefail.surrogate.saved import SCALING, State, check, choices_of, margin_data_of, of_any_version, sources
 from activefail.surrogate.sites import Sites
 
 
@@ -85,7 +84,7 @@ def classifier_from_state(
                 latents.append(Latent(_fit(state, name, learner, F, outcome >= severity)))
             continue
         if name not in regressions:
-            prior, data = _set(prior_of_margin(F.shape[1]), state, name), margin_data(state, name, F, source.margin)
+            prior, data = _set(margin_prior(F.shape[1]), state, name), margin_data_of(state, name, F, source.margin)
             regressions[name] = MarginFit(data, prior, math.nan, int(state[f"{name}/learned_on"]))
         latents.append(MarginLatent(regressions[name], source.level))
     for latent in latents:
@@ -96,7 +95,7 @@ def classifier_from_state(
 def _fit(state: State, name: str, learner: VariationalGP, F: Array, beyond: NDArray[np.bool_]) -> Fit:
     inducing = state.get(f"{name}/inducing")
     return Fit(
-        _set(learner.prior(F.shape[1]), state, name),
+        _set(learner.default_prior(F.shape[1]), state, name),
         torch.from_numpy(F),
         torch.from_numpy(beyond.astype(float)),
         Sites(*(torch.from_numpy(state[f"{name}/{key}"]) for key in ("site_linear", "site_precision"))),

@@ -12,7 +12,7 @@ from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import CustomLatent, CustomModel, Latent, Learner
-from activefail.surrogate.margin import MarginFit, MarginLatent, fit_margin
+from activefail.surrogate.margin import AnyLatent, MarginFit, MarginLatent, fit_margin
 from activefail.surrogate.margin_choice import (
     OUTCOMES,
     Choice,
@@ -134,7 +134,7 @@ def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequenc
     for column in candidates:
         if usable(margins[rows, column], beyond[rows]):
             continue
-        scores[column] = fit_defined(F[rows], margins[rows, column]).sign_score()
+        scores[column] = outcome_score(MarginLatent(fit_defined(F[rows], margins[rows, column])), beyond[rows])
     if not scores:
         return Choice(OUTCOMES, n, one_sided=one_sided)
     best = max(scores, key=scores.__getitem__)
@@ -144,6 +144,6 @@ def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequenc
     return Choice(best if scores[best] >= score else OUTCOMES, n, scores[best], score)
 
 
-def outcome_score(latent: Latent | CustomLatent, beyond: NDArray[np.bool_]) -> float:
+def outcome_score(latent: AnyLatent, beyond: NDArray[np.bool_]) -> float:
     """Mean log probability of left-out designs' sides, (n,), under a latent [nat]."""
     return float(log_ndtr(np.where(beyond, 1.0, -1.0) * latent.left_out().standardised).mean())

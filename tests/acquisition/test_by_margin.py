@@ -15,6 +15,7 @@ from activefail.acquisition.criteria import criterion
 from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
+from activefail.surrogate.boundary_gp import joint
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
@@ -78,7 +79,7 @@ def test_proposals_lie_where_the_side_is_in_doubt_and_differ() -> None:
     moments = surrogate.moments(FEATURES(designs))
     assert (np.abs(moments.standardised) < 3.5).all()
     # In units of the posterior they are apart: none repeats another.
-    _, covariance = surrogate.joint(FEATURES(designs))
+    _, covariance = joint(surrogate.model, FEATURES(designs))
     correlation = covariance / np.sqrt(np.outer(covariance.diagonal(), covariance.diagonal()))
     assert (np.abs(correlation - np.eye(6)) < 0.98).all()
 

@@ -206,7 +206,7 @@ REFERENCES, POOL = points(64, 3, seed=1)[0], points(200, 3, seed=2)[0]
 
 @pytest.fixture(scope="module")
 def model():
-    return fit(*points(60, 3), MATERN52.prior).model
+    return fit(*points(60, 3), MATERN52.default_prior).model
 
 
 @pytest.fixture(scope="module")

@@ -228,7 +228,7 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
 
 
 def test_predictions_from_a_part_of_the_simulations_are_announced(monkeypatch: pytest.MonkeyPatch) -> None:
-    for limit in ("COARSE", "LEARNED_ON", "EXACT", "INDUCING"):
+    for limit in ("WARPED_ON", "LEARNED_ON", "EXACT", "INDUCING"):
         monkeypatch.setattr(margin, limit, 16)
     campaign = campaign_on(FourBranch(), sampling__budget=20)
     store = taken(campaign)

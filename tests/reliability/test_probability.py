@@ -9,6 +9,7 @@ from activefail.parameter import Parameter
 from activefail.reliability.hidden import OUTSIDE, hidden_places
 from activefail.reliability.model_probability import model_probability
 from activefail.space import Array, DesignSpace, radius
+from activefail.surrogate.boundary_gp import joint
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import Latent, VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
@@ -38,7 +39,7 @@ def test_the_posterior_of_the_probability_is_that_of_paths_everywhere(n: int, ex
     weight /= weight.sum()
 
     def paths(latent: Latent | MarginLatent) -> Array:
-        center, covariance = latent.joint(FEATURES(grid))
+        center, covariance = joint(latent.model, FEATURES(grid))
         values, vectors = np.linalg.eigh(covariance)
         return center + rng.standard_normal((400, len(grid))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
 

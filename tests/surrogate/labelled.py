@@ -4,7 +4,7 @@ import gpytorch
 import numpy as np
 import torch
 
-from activefail.surrogate.fitting import make_prior
+from activefail.surrogate.fitting import outcome_prior
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.sites import Sites
 
@@ -20,7 +20,7 @@ def points(n, m=2, seed=0, noise=0.3):
 
 
 def prior(kernel="rbf", m=2, mean=0.3, outputscale=9.0, lengthscale=1.3):
-    made = make_prior(kernel, m)
+    made = outcome_prior(kernel, m)
     made.mean_module.initialize(constant=mean)
     made.covar_module.initialize(outputscale=outputscale)
     made.covar_module.base_kernel.initialize(lengthscale=lengthscale)

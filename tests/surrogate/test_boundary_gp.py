@@ -94,7 +94,7 @@ def model(request):
     F, y = points(60)
     if request.param == "margin":
         return MarginLatent(fit_margin(F.numpy(), 0.4 - F[:, 0].numpy() - 0.5 * F[:, 1].numpy() ** 2)).model
-    return fit(F, y, {"rbf": RBF, "matern52": MATERN52}[request.param].prior).model
+    return fit(F, y, {"rbf": RBF, "matern52": MATERN52}[request.param].default_prior).model
 
 
 def test_marginal_and_joint_moments_are_those_of_the_botorch_posterior(model):
@@ -114,7 +114,7 @@ def test_marginal_and_joint_moments_are_those_of_the_botorch_posterior(model):
 
 
 def test_far_outside_the_space_the_uncertainty_is_the_priors():
-    latent = Latent(fit(*points(60), RBF.prior))
+    latent = Latent(fit(*points(60), RBF.default_prior))
     sd = latent.moments(np.array([[1e300, 0.0], [-1e300, 1e5]])).sd
     assert sd == pytest.approx(float(latent.trained.prior.covar_module.outputscale) ** 0.5, rel=1e-3)
     assert np.median(latent.moments(latent.features).sd) < 0.6 * sd.min()
@@ -181,7 +181,7 @@ def test_fantasies_one_after_the_other_are_the_fantasies_at_once(model):
 
 
 def test_a_model_is_freed_without_the_garbage_collector():
-    model = fit(*points(20), RBF.prior).model
+    model = fit(*points(20), RBF.default_prior).model
     gone = weakref.ref(model.strategy)
     gc.disable()
     try:

@@ -55,7 +55,7 @@ class Fixed(NamedTuple):
     """A latent of known mean, the same everywhere, without doubt."""
 
     mean: float
-    regression: None = None
+    margin_data: None = None
 
     def moments(self, F):
         return Moments(np.full(len(F), self.mean), np.zeros(len(F)))
@@ -77,7 +77,7 @@ def test_boundaries_that_train_at_the_same_time_have_the_bits_of_one_after_the_o
     F, outcome = torch.from_numpy(FEATURES(X)), outcome_of(X)
     together = train(X, outcome, OUTCOMES, FEATURES, MATERN52)
     for severity, latent in enumerate(together.latents, start=1):
-        alone = fit(F, torch.from_numpy((outcome >= severity).astype(float)), MATERN52.prior)
+        alone = fit(F, torch.from_numpy((outcome >= severity).astype(float)), MATERN52.default_prior)
         for name, array in alone.prior.arrays.items():
             assert latent.trained.prior.arrays[name].tobytes() == array.tobytes()
         assert all(torch.equal(*pair) for pair in zip(latent.trained.sites, alone.sites, strict=True))

@@ -22,7 +22,7 @@ from surrogate.sampling import elliptical_slice_sampling
 
 from activefail.surrogate import fitting
 from activefail.surrogate import sites as sites_module
-from activefail.surrogate.fitting import condition, fit, make_prior, objective_gradient
+from activefail.surrogate.fitting import condition, fit, objective_gradient, outcome_prior
 from activefail.surrogate.inducing import jittered
 from activefail.surrogate.latent import Latent
 from activefail.surrogate.likelihoods import Probit, expectations
@@ -97,8 +97,8 @@ def test_the_sites_keep_the_best_bound_where_a_likelihood_is_not_log_concave(mon
 PRIORS = {
     "rbf": prior,
     "matern52": partial(prior, "matern52"),
-    "custom": lambda: make_prior(two_scales, 2),
-    "learned likelihood": lambda: make_prior("rbf", 2, Mislabelled),
+    "custom": lambda: outcome_prior(two_scales, 2),
+    "learned likelihood": lambda: outcome_prior("rbf", 2, Mislabelled),
 }
 
 
@@ -112,7 +112,7 @@ def test_the_objective_has_the_gradient_that_it_states(name, inducing):
     assert flattened(value()[1]) == pytest.approx(gradient, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("make", [RBF.prior, MATERN52.prior])
+@pytest.mark.parametrize("make", [RBF.default_prior, MATERN52.default_prior])
 def test_training_ends_where_no_hyperparameter_can_be_bettered(make):
     F, y = points(80, seed=2)
     trained = fit(F, y, make, tolerance=1e-4)
@@ -128,10 +128,10 @@ def test_training_ends_where_no_hyperparameter_can_be_bettered(make):
 
 def test_a_custom_kernel_and_a_learned_share_of_wrong_labels_are_learned():
     F, y = points(60, noise=0.0)
-    custom = fit(F, y, partial(make_prior, two_scales))
+    custom = fit(F, y, partial(outcome_prior, two_scales))
     assert np.mean((Latent(custom).moments(F.numpy()).mean > 0.0) == (y.numpy() > 0.5)) > 0.95
     y[::6] = 1.0 - y[::6]
-    noisy = fit(F, y, partial(make_prior, "rbf", likelihood=Mislabelled))
+    noisy = fit(F, y, partial(outcome_prior, "rbf", likelihood=Mislabelled))
     assert 0.05 < noisy.prior.likelihood.share.item() < 0.3
 
 
@@ -141,10 +141,10 @@ def test_a_warm_start_reaches_the_optimum_of_a_cold_one_in_fewer_evaluations(mon
     monkeypatch.setattr(fitting, "objective_gradient", evaluate)
     for seed in range(4, 10):  # one alone can be lucky
         F, y = points(120, seed=seed)
-        before, objectives = fit(F[:110], y[:110], RBF.prior), []
+        before, objectives = fit(F[:110], y[:110], RBF.default_prior), []
         for start, warm in (("warm", before), ("cold", None)):
             evaluate.reset_mock()
-            objectives.append(fit(F, y, RBF.prior, warm).elbo)
+            objectives.append(fit(F, y, RBF.default_prior, warm).elbo)
             counted[start] += evaluate.call_count
         assert objectives[0] == pytest.approx(objectives[1], abs=0.05)
     assert counted["warm"] < 0.75 * counted["cold"]
@@ -152,13 +152,13 @@ def test_a_warm_start_reaches_the_optimum_of_a_cold_one_in_fewer_evaluations(mon
 
 def test_one_class_alone_is_learned_as_certain_near_the_points():
     F, _ = points(30)
-    trained = fit(F, torch.ones(30, dtype=torch.float64), RBF.prior)
+    trained = fit(F, torch.ones(30, dtype=torch.float64), RBF.default_prior)
     assert (Latent(trained).moments(F.numpy()).probability > 0.9).all()
 
 
 def test_a_left_out_point_is_predicted_as_by_a_posterior_of_the_others_sites():
     F, y = points(25)
-    trained = fit(F, y, RBF.prior)
+    trained = fit(F, y, RBF.default_prior)
     left_out = Latent(trained).left_out()
     (prior_mean, K), (b, W) = (tuple(one.numpy() for one in of) for of in (trained.prior_at_points, trained.sites))
     for i in (0, 7, 24):
@@ -193,6 +193,6 @@ def test_the_variational_posterior_lies_near_that_of_a_long_markov_chain(outputs
 def test_the_posterior_of_more_points_than_are_learned_on_is_that_of_all(monkeypatch):
     monkeypatch.setattr(fitting, "LEARNED_ON", 60)
     F, y = points(150, noise=0.0)
-    trained = fit(F, y, MATERN52.prior)
+    trained = fit(F, y, MATERN52.default_prior)
     assert (len(trained.labels), trained.learned_on, trained.inducing) == (150, 150, None)
     assert trained.elbo == pytest.approx(condition(trained.prior, F, y).elbo, abs=1e-3)

@@ -88,17 +88,17 @@ def test_weights_by_precision_save_more_of_the_bound_than_as_many_points_without
 @pytest.mark.exhaustive
 def test_hyperparameters_learned_with_inducing_points_are_as_good_as_those_learned_without(monkeypatch):
     F, y = points(400, seed=3)
-    learned = fit(F, y, MATERN52.prior)
+    learned = fit(F, y, MATERN52.default_prior)
     monkeypatch.setattr(fitting, "COARSE", 400)
     assert learned.inducing is None
-    assert learned.elbo == pytest.approx(fit(F, y, MATERN52.prior).elbo, abs=0.5)
+    assert learned.elbo == pytest.approx(fit(F, y, MATERN52.default_prior).elbo, abs=0.5)
 
 
 def test_points_that_come_later_are_learned_without_choosing_everything_anew(many):
     _, trained = many
     extra, labels = points(10, seed=11)
     F, y = torch.cat([trained.features, extra]), torch.cat([trained.labels, labels])
-    warm = fit(F, y, MATERN52.prior, replace(trained, learned_on=1500))
+    warm = fit(F, y, MATERN52.default_prior, replace(trained, learned_on=1500))
     assert warm.prior is PRIOR
     assert warm.inducing[: len(trained.inducing)].tolist() == trained.inducing.tolist()
     assert warm.elbo == pytest.approx(condition(PRIOR, F, y, warm.sites).elbo, abs=0.1)
@@ -111,7 +111,7 @@ def test_scales_that_a_part_of_the_points_calls_for_are_not_taken_where_they_are
     if part:
         monkeypatch.setattr(fitting, "EXACT", part - 100)
         monkeypatch.setattr(fitting, "HALFWAY", part)
-    data = trained.features, trained.labels, MATERN52.prior
+    data = trained.features, trained.labels, MATERN52.default_prior
     before = replace(trained, learned_on=1000)
     poor = replace(trained, prior=prior("matern52", 3, outputscale=25.0, lengthscale=0.2), learned_on=1500)
     monkeypatch.setattr(fitting, "learn", lambda *_: poor)

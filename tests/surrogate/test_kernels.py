@@ -8,7 +8,7 @@ import torch
 from scipy.stats import norm
 from surrogate.labelled import points, prior
 
-from activefail.surrogate.fitting import make_prior
+from activefail.surrogate.fitting import outcome_prior
 
 STOCK = {"rbf": gpytorch.kernels.RBFKernel, "matern52": gpytorch.kernels.MaternKernel}
 SCALES = torch.tensor([0.67, 2.5, 1.1], dtype=torch.float64)
@@ -69,9 +69,4 @@ def test_the_density_of_a_prior_is_that_of_the_scales_logarithms():
 
 def test_the_length_scales_are_those_of_a_built_in_kernel():
     assert prior("rbf", 3, lengthscale=SCALES).length_scales == pytest.approx(SCALES.numpy(), rel=1e-12)
-    assert make_prior(lambda m: gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel()), 3).length_scales is None
-
-
-def test_an_unknown_kernel_is_refused():
-    with pytest.raises(ValueError, match="rbf or matern52"):
-        make_prior("cubic", 2)
+    assert outcome_prior(lambda m: gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel()), 3).length_scales is None

@@ -63,7 +63,7 @@ def learned(request):
         if "part" in request.param:
             for name, size in (("EXACT", 40), ("MOST", 80), ("MOST_CENSORED", 20)):
                 patch.setattr(margin_data, name, size)
-            for name, size in (("EXACT", 40), ("LEARNED_ON", 60), ("COARSE", 50), ("INDUCING", 30)):
+            for name, size in (("EXACT", 40), ("LEARNED_ON", 60), ("WARPED_ON", 50), ("INDUCING", 30)):
                 patch.setattr(margin, name, size)
         yield *trained(*CASES[request.param]), CASES[request.param][0]
 
