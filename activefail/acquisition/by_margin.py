@@ -19,7 +19,6 @@ from activefail.acquisition.population import Population, finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.boundary_gp import marginal, moments, posterior_covariance
-from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.moments import LARGEST_FEATURE
 
 POINTS = 300
@@ -98,12 +97,17 @@ def _doubt(standardised: Tensor) -> Tensor:
 
 
 def doubtful_population(
-    latent: MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
+    model: Model, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
 ) -> tuple[Population, Array, Array]:
-    """A population with many designs where the latent is in doubt, its features, (n, m), and mean/sd there, (n,)."""
-    drawn = population(space, n, lambda X: doubt(latent.moments(finite(features, X)).standardised), rng)
+    """A population with many designs where a latent is in doubt, its features, (n, m), and mean/sd there, (n,)."""
+
+    def standardised(F: Array) -> Array:
+        mean, sd = moments(model, F)
+        return mean / sd
+
+    drawn = population(space, n, lambda X: doubt(standardised(finite(features, X))), rng)
     F = finite(features, drawn.X)
-    return drawn, F, latent.moments(F).standardised
+    return drawn, F, standardised(F)
 
 
 class Candidates(NamedTuple):
@@ -128,14 +132,8 @@ def candidates_by_margin(
         q: number of designs.
         rng: generator of the draws.
     """
-
-    def standardised(F: Array) -> Array:
-        mean, sd = moments(model, F)
-        return mean / sd
-
-    drawn = population(space, SIZE, lambda X: doubt(standardised(finite(features, X))), rng)
-    F = np.clip(finite(features, drawn.X), -LARGEST_FEATURE, LARGEST_FEATURE)
-    uncertain = doubt(standardised(F))
+    drawn, F, standardised = doubtful_population(model, features, space, SIZE, rng)
+    F, uncertain = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE), doubt(standardised)
     share = (drawn.weight * uncertain + LEAST) / (drawn.weight * uncertain + LEAST).sum()
     references = rng.choice(len(F), POINTS, p=share)
     candidates = np.unique(rng.choice(len(F), _CANDIDATES + _MORE * q, p=share))

@@ -253,21 +253,15 @@ class Choosing:
     is_custom: bool = False
 
 
-def criterion(name: Criterion) -> Choosing:
-    """The named criterion.
+_POINTWISE: dict[str, Pointwise] = {"entropy": entropy, "u": u, "straddle": straddle, "bald": bald}
+_LOOK_AHEAD: dict[str, Gain] = {"eavc": eavc, "globalmi": globalmi, "sur": sur}
 
-    Raises:
-        ValueError: if the name is unknown.
-    """
-    match name:
-        case "entropy" | "u" | "straddle" | "bald":
-            value = {"entropy": entropy, "u": u, "straddle": straddle, "bald": bald}[name]
-            return Choosing(lambda model, references: PointwiseCriterion(model, value))
-        case "eavc" | "globalmi" | "sur":
-            gain = {"eavc": eavc, "globalmi": globalmi, "sur": sur}[name]
-            return Choosing(lambda model, references: LookAheadCriterion(model, gain, references), REFERENCES)
-        case _:
-            raise ValueError(f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}.")
+
+def criterion(name: Criterion) -> Choosing:
+    """The named criterion."""
+    if name in _POINTWISE:
+        return Choosing(lambda model, references: PointwiseCriterion(model, _POINTWISE[name]))
+    return Choosing(lambda model, references: LookAheadCriterion(model, _LOOK_AHEAD[name], references), REFERENCES)
 
 
 def custom_criterion(function: Callable[..., AcquisitionFunction]) -> Choosing:

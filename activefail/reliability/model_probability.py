@@ -56,7 +56,7 @@ def model_probability(
         return integrate(BoundariesOf(classifier, features, lost, outcome), space, accuracy=accuracy).of(0)
 
     known = share("learned", ACCURACY)
-    drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
+    drawn, F, standardised = doubtful_population(latent.model, features, space, n, rng)
     sd = posterior_sd(latent, F, standardised, drawn.weight, rng, classifier.impossible)
     if classifier.unknown is not None:
         # The posterior does not know what lost runs are; half of the range counts as one standard deviation.

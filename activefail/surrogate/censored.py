@@ -28,15 +28,8 @@ class CensoredSites(NamedTuple):
     precision: Array  # (k,)
 
 
-class CensoredPosterior(NamedTuple):
-    """Expectation propagation's result for the censored points, given the others."""
-
-    sites: CensoredSites
-    log_evidence: float
-
-
-def censored_posterior(mean: Array, S: Array, sites: CensoredSites) -> CensoredPosterior:
-    """Expectation propagation for f ~ N(mean, S), (k,) and (k, k), with f ≤ 0 in every entry, from initial sites.
+def censored_posterior(mean: Array, S: Array, sites: CensoredSites) -> tuple[CensoredSites, float]:
+    """Sites and log evidence of f ~ N(mean, S), (k,) and (k, k), with f ≤ 0 in every entry, from initial sites.
 
     All sites take a damped step at once: a site after the other needs k times the algebra.
     """
@@ -62,7 +55,7 @@ def censored_posterior(mean: Array, S: Array, sites: CensoredSites) -> CensoredP
     scale = log_ndtr(z) + 0.5 * np.log1p(precision / cavity_precision)
     tilted = (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
     scale += 0.5 * (cavity_precision * cavity_mean**2 - tilted)
-    return CensoredPosterior(CensoredSites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
+    return CensoredSites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant
 
 
 def _with_sites(mean: Array, S: Array, linear: Array, precision: Array) -> tuple[float, Array, Array, float]:

@@ -176,13 +176,13 @@ def _conditioned(K: Array, y: Array, censored: NDArray[np.bool_], mean: float, s
     cross = K[np.ix_(exact, censored)]
     whitened = solve_triangular(L, cross, lower=True)
     S = K[np.ix_(censored, censored)] - whitened.T @ whitened
-    result = censored_posterior(mean + cross.T @ alpha, S, sites)
-    precision = np.maximum(result.sites.precision, 1e-12)
+    sites, log_evidence = censored_posterior(mean + cross.T @ alpha, S, sites)
+    precision = np.maximum(sites.precision, 1e-12)
     A, target = K.copy(), y - mean
     A[censored, censored] += 1.0 / precision
-    target[censored] = result.sites.linear / precision - mean
+    target[censored] = sites.linear / precision - mean
     L = cholesky(A, lower=True)
-    return _Conditioned(value + result.log_evidence, result.sites, L, cho_solve((L, True), target))
+    return _Conditioned(value + log_evidence, sites, L, cho_solve((L, True), target))
 
 
 def margin_prior(dimension: int) -> Prior:
@@ -303,7 +303,7 @@ def _sites_of(fitted: MarginFit, censored: NDArray[np.bool_]) -> CensoredSites:
     y = data.warped(data.margin[data.rows])
     mean, S = joint(fitted.model(0.0), data.points[censored])
     start = first_sites(censored, max(float(y[~censored].std()), 1e-3))
-    return censored_posterior(-mean, S, start).sites
+    return censored_posterior(-mean, S, start)[0]
 
 
 def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, warm: MarginFit | None) -> MarginFit:

@@ -94,7 +94,7 @@ def test_pending_and_failed_designs_are_not_proposed_again() -> None:
 
 def test_a_doubtful_population_holds_many_designs_in_doubt() -> None:
     surrogate = latent()
-    drawn, F, standardised = doubtful_population(surrogate, FEATURES, SPACE, 4000, np.random.default_rng(0))
+    drawn, F, standardised = doubtful_population(surrogate.model, FEATURES, SPACE, 4000, np.random.default_rng(0))
     np.testing.assert_array_equal(F, FEATURES(drawn.X))
     plain = SPACE.from_unit(np.random.default_rng(0).random((4000, 2)))
     share = np.mean(np.abs(surrogate.moments(FEATURES(plain)).standardised) < 2.0)

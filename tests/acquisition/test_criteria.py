@@ -167,11 +167,6 @@ def test_a_reference_that_is_known_already_takes_no_part(value):
     assert extra_settings == pytest.approx(0.75 * value(mean, sd, reference_mean, reference_sd, covariance), rel=1e-9)
 
 
-def test_an_unknown_criterion_is_refused():
-    with pytest.raises(ValueError, match="entropy, u, straddle, bald, eavc, globalmi or sur, got 'hunch'"):
-        criterion("hunch")
-
-
 @st.composite
 def posteriors(draw):
     """Means from one side of the boundary to the other, and a covariance of any rank, of candidates and references."""
