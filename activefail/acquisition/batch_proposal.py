@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
@@ -172,12 +171,8 @@ def propose(
         X, F = X[new], F[new]
     candidates = torch.from_numpy(F)
     with keeping(model, candidates, references):
-        make_here = partial(_with_references, make, references)
-        return np.asarray(X[best_batch(make_here, model, candidates, min(q, len(F)), certain(F), block)])
-
-
-def _with_references(make: Make, references: Tensor, model: Model) -> AcquisitionFunction:
-    return make(model, references)
+        rows = best_batch(lambda model: make(model, references), model, candidates, min(q, len(F)), certain(F), block)
+    return np.asarray(X[rows])
 
 
 @dataclass(frozen=True)
