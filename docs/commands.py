@@ -17,7 +17,7 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with its arguments and options, as `activefail COMMAND --help` shows them. The guide says
+Every command with an example, its arguments and its options, as `activefail COMMAND --help` shows them. The guide says
 [what the commands are for](../guide.md#campaigns), and lists the
 [exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c). `python docs/commands.py` writes this page.
 
@@ -58,7 +58,7 @@ def command_rows(name: str, command: Any) -> dict[str, str]:
 
 
 def command_section(name: str, command: Any, common: set[str]) -> str:
-    """A command's section: what it does, how it is called, and a table of its arguments and options.
+    """A command's section: how it is called, an example, what it does, and a table of its arguments and options.
 
     Args:
         name: of the command.
@@ -67,12 +67,13 @@ def command_section(name: str, command: Any, common: set[str]) -> str:
     """
     usage = command.get_usage(command.make_context(f"activefail {name}", [], resilient_parsing=True))
     rows = command_rows(name, command)
-    lines = [f"## {name}", "", f"    {' '.join(usage.removeprefix('Usage: ').split())}", "", linked(command.help), ""]
+    calls = (" ".join(usage.removeprefix("Usage: ").split()), command.epilog.removeprefix("Example: "))
+    lines = [f"## {name}", "", *(f"    {call}" for call in calls), "", linked(command.help), ""]
     if special := [row for row in rows if row not in common]:
         lines += [table(special), ""]
     if options := [f"`{rows[row]}`" for row in rows if row in common and rows[row].startswith("--")]:
         lines += [f"It also takes {' and '.join(options)}.", ""]
-    return "\n".join([*lines, "For example:", "", f"    {command.epilog.removeprefix('Example: ')}"]) + "\n"
+    return "\n".join(lines)
 
 
 def page() -> str:

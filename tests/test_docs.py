@@ -249,8 +249,8 @@ def test_the_tutorial_on_a_custom_simulator_runs_as_it_says(tmp_path, monkeypatc
     for language, names in files.items():
         for name, text in zip(names, blocks(page, language), strict=True):
             (tmp_path / name).write_text(text)
-    campaign = re.sub("^python = .*", Path("command.toml").read_text().strip(), Path("beam.toml").read_text(), flags=re.M)
-    Path("program.toml").write_text(campaign)
+    command, campaign = (Path(name).read_text() for name in ("command.toml", "beam.toml"))
+    Path("program.toml").write_text(re.sub("^python = .*", command.strip(), campaign, flags=re.MULTILINE))
     commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
     said = {}
     for command in commands:
@@ -343,8 +343,10 @@ def test_a_key_without_a_meaning_is_not_written():
 
 
 def test_the_settings_that_a_page_recommends_are_settings():
-    features, campaign = map(tomllib.loads, blocks(ROOT / "docs" / "which.md", "toml"))
+    (features,) = map(tomllib.loads, blocks(ROOT / "docs" / "which.md", "toml"))
     checked(CampaignSettings, features, "docs/which.md")
+    campaign = {"simulator": {"python": "beam:run", "margins": ["g"]}, "space": {"x": {"low": 0, "high": 1}}}
+    campaign |= {"stop": {"probability": "failure"}}
     assert checked(CampaignSettings, campaign, "docs/which.md").acquisition.criterion == "eavc"
     defaults = CampaignSettings()
     assert (defaults.acquisition.criterion, defaults.acquisition.exploration) == ("entropy", 0.0)
