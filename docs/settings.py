@@ -17,8 +17,9 @@ PAGE = Path(__file__).parent / "reference" / "settings.md"
 
 HEAD = """# Keys of the files
 
-Every key of campaign and hazard files, with its type, rule and default (– is no default). `python docs/settings.py`
-writes this page from the settings that check the files. Unknown keys are refused, and so are infinite numbers and NaN.
+Every key of campaign and hazard files, with its type and rule and, after a semicolon, its default. `python
+docs/settings.py` writes this page from the settings that check the files. Unknown keys, infinite numbers and NaN are
+refused.
 The [guide](../guide.md#campaigns) explains campaign files, [Distributions](../distributions.md) the variables, and
 [Hazard files](../hazard.md) hazards. A [question file](../probability.md#other-distributions) has the keys of
 [`[question]`](#question).
@@ -92,13 +93,13 @@ def rule(schema: Schema) -> str:
 
 
 def default(name: str, schema: Schema, required: list[str]) -> str:
-    """The default of a key, as a file would state it."""
+    """What follows the type of a key: its default, as a file would state it, or that it is required."""
     if name in required:
-        return "required"
+        return "; required"
     value = schema.get("default")
     if value is None or "$ref" in schema:
-        return "–"
-    return f"`{number(value) if isinstance(value, float) else json.dumps(value)}`"
+        return ""
+    return f"; `{number(value) if isinstance(value, float) else json.dumps(value)}`"
 
 
 def references(schema: Schema) -> list[str]:
@@ -118,11 +119,11 @@ def rows(section: type, schema: Schema, said: dict[str, str] | None = None) -> l
         KeyError: if its docstring does not say what a key means.
     """
     meaning = meanings(section)
-    lines, before = ["| key | type and rule | default | meaning |", "|---|---|---|---|"], dict[str, list[str]]()
+    lines, before = ["| key | type, rule; default | meaning |", "|---|---|---|"], dict[str, list[str]]()
     for name, entry in schema["properties"].items():
         if name not in meaning:
             raise KeyError(f"the docstring of {section.__name__} does not say what {name!r} means")
-        cells = (f"`{name}`", rule(entry), default(name, entry, schema.get("required", [])), meaning[name])
+        cells = (f"`{name}`", rule(entry) + default(name, entry, schema.get("required", [])), meaning[name])
         row = f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
         if said and row in said:
             before.setdefault(said[row], []).append(f"`{name}`")
