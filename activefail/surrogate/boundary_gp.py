@@ -235,7 +235,8 @@ class BoundaryModel(ApproximateGPyTorchModel):
         if isinstance(before, _Fantasy):  # one level, however many observations
             P, noise = torch.cat([before.support, P]), torch.cat([before.noise, noise])
             before = before.before
-        return BoundaryModel.of(_Fantasy(before, P, noise))
+        # The prior's modules, which take a millisecond to visit, are in evaluation mode already.
+        return BoundaryModel(model=BoundaryGP(_Fantasy(before, P, noise)), likelihood=self.likelihood)
 
 
 @torch.no_grad()
