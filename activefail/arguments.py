@@ -3,8 +3,7 @@
 import io
 import math
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex, cast
@@ -15,7 +14,6 @@ from activefail.progress import Stage, silent
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.campaign.results_table import ResultTable
     from activefail.csv_table import Source, Table, Target
     from activefail.execution.executor import AsynchronousExecutor
 
@@ -71,21 +69,6 @@ def table_of(table: Any) -> "Table":
 
     is_file = isinstance(table, str | os.PathLike) or hasattr(table, "read")
     return Table.of_csv(source_of("table", table)) if is_file else Table.of_python(table)
-
-
-@contextmanager
-def rows_named(results: "ResultTable") -> Iterator[None]:
-    """Name the row of the user's table in the error of a result that cannot be recorded.
-
-    Raises:
-        InputError: in place of a RowError.
-    """
-    from activefail.loop.telling import RowError
-
-    try:
-        yield
-    except RowError as error:
-        raise InputError(f"{results.table.places[error.row]}: {error}.") from None
 
 
 def check_whole(name: str, number: SupportsIndex, least: int, most: float = math.inf) -> None:

@@ -136,6 +136,44 @@ class Table:
                     f"{self.name}column {name!r}: required, but missing; the required columns are {','.join(names)}."
                 )
 
+    def named(self, names: Mapping[str, str], words: Mapping[str, str], of: str) -> Self:
+        """The table with other names of columns, and other units and words in its cells.
+
+        Args:
+            names: for a name, the column that has it here, perhaps with a factor: "Load [kN]*1000", "time [ms]/1000".
+            words: for a word of the column `of`, the one in its cells here.
+            of: a column of `names` or of this table.
+
+        Raises:
+            InputError: if a column is missing, or the table has the name already.
+        """
+        columns, factors = list(self.columns), {}
+        for name, text in names.items():
+            scaled = None if text in columns else re.fullmatch(r"(.*?)\s*([*/])\s*([\d.]+(?:[eE][+-]?\d+)?)", text)
+            column = scaled[1] if scaled else text
+            if column not in self.columns:
+                raise InputError(f"{self.name}column {column!r}: missing; the columns are {','.join(self.columns)}.")
+            if name in self.columns and name != column:
+                raise InputError(f"{self.name}column {name!r}: occurs already, beside {column!r}, which is to be it.")
+            place = self.columns.index(column)
+            columns[place] = name
+            if scaled:
+                factors[place] = float(scaled[3]) if scaled[2] == "*" else 1.0 / float(scaled[3])
+        word_at, known = columns.index(of) if of in columns else -1, {there: here for here, there in words.items()}
+
+        def cell(place: int, value: Any) -> Any:
+            if place == word_at and isinstance(value, str):
+                return known.get(value.strip(), value)
+            if place not in factors or _is_missing(value):
+                return value
+            try:
+                return _number_of(value) * factors[place]
+            except (TypeError, ValueError, ArithmeticError):
+                return value
+
+        rows = [[cell(place, value) for place, value in enumerate(row)] for row in self.rows]
+        return type(self)(self.name, tuple(columns), rows, self.places)
+
     def only(self, rows: Sequence[int]) -> Self:
         """The table of these rows."""
         kept, places = [self.rows[row] for row in rows], [self.places[row] for row in rows]

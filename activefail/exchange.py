@@ -4,13 +4,14 @@ Each function is a method of `Run`.
 """
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from operator import index
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from activefail.arguments import check_whole, rows_named, table_of
+from activefail.arguments import check_whole, table_of
+from activefail.errors import InputError
 from activefail.surrogate.threads import one_thread
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from activefail.campaign.results_table import ResultTable
+    from activefail.campaign.results_table import Reading, ResultTable
     from activefail.csv_table import Table
     from activefail.loop.in_flight import HandedOut
     from activefail.run import Run
@@ -62,21 +63,35 @@ def ask(run: "Run", n: int = 1, *, beyond: bool = False, ignore_stop: bool = Fal
     return frame
 
 
-def tell(run: "Run", table: Any, *, correct: bool = False) -> int:
+def tell(
+    run: "Run",
+    table: Any,
+    *,
+    correct: bool = False,
+    changed: bool = False,
+    names: Mapping[str, str] | None = None,
+    skip_invalid: bool = False,
+) -> int:
     """Record results of designs in flight, or correct recorded ones; they are durable once this returns.
 
-    A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded. A correction
-    replaces the result of a simulation, whether it was told, added or simulated by the loop; `corrections` keeps
-    the former one. The classifier learns again as if it had got the right result at first.
+    A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded, and the message
+    names the first ten such rows. A correction replaces the result of a simulation, whether it was told, added or
+    simulated by the loop; `corrections` keeps the former one. The classifier learns again as if it had got the right
+    result at first.
 
     Args:
         table: a DataFrame, a dictionary of columns, a list of dictionaries, one row as a dictionary or a Series,
             or a CSV file (its path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's
             margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
             have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
-            has levels, the outcome may be left out. Other columns are ignored, as are rows without outcome and
-            margins.
+            has levels, the outcome may be left out. Other columns are labels, which `simulations` has too. Rows without
+            outcome and margins are ignored.
         correct: whether the table corrects recorded results; it must then hold no others.
+        changed: whether the variables in the table are what was simulated, where they differ from the design that was
+            handed out, as after rounding. They must lie in the design space.
+        names: the table's own names: for a column or an outcome of the campaign, what the table has in its place,
+            such as {"load": "Load [N]/1000", "failure": "collapsed"}.
+        skip_invalid: whether to leave out rows that break a rule, with a warning.
 
     Returns:
         Number of new, or corrected, results.
@@ -85,17 +100,22 @@ def tell(run: "Run", table: Any, *, correct: bool = False) -> int:
         InputError: naming row, column, rule and value.
         StoreError: if the run is not open for writing, or the results cannot be recorded.
     """
+    from activefail.campaign.results_table import Reading
     from activefail.loop import telling
 
+    if correct and changed:
+        raise InputError("changed: cannot be combined with correct; designs that have a result stay as they are.")
     checked = table_of(table)
     if not checked.rows:
         return 0
     with run._turn:
-        told, handed_out = _told(run, checked)
+        told, handed_out = _told(run, checked, Reading(names or {}, skip_invalid), changed)
+        if changed:
+            return _record(run, told, lambda *of: telling.tell(*of, simulated=told.designs), "ids", skip_invalid)
         if not correct:
-            return _record(run, told, telling.tell, told.ids)
+            return _record(run, told, telling.tell, "ids", skip_invalid)
         lost = telling.lost_margins(run.campaign, told.ids, told.results, handed_out)
-        new = _record(run, told, telling.correct, told.ids, lost)
+        new = _record(run, told, telling.correct, "ids", skip_invalid, lost)
         # What was learned came from the former results.
         run._forget()
     return new
@@ -110,22 +130,23 @@ def is_told(run: "Run", table: Any) -> bool:
     Raises:
         InputError: as `tell` does.
     """
+    from activefail.campaign.results_table import Reading
     from activefail.loop.telling import new_results
 
-    told, handed_out = _told(run, table_of(table))
-    with rows_named(told):
-        return not new_results(run.campaign, told.ids, told.results, handed_out)
+    told, handed_out = _told(run, table_of(table), Reading())
+    return not new_results(run.campaign, told.ids, told.results, handed_out)
 
 
-def _told(run: "Run", table: "Table") -> "tuple[ResultTable, HandedOut]":
-    """The results in a table, with designs as they were handed out, and the designs of the record."""
+def _told(run: "Run", table: "Table", reading: "Reading", changed: bool = False) -> "tuple[ResultTable, HandedOut]":
+    """The results in a table, with designs as they were handed out or simulated, and the designs of the record."""
     from activefail.campaign.results_table import ResultTable
 
-    told, handed_out = ResultTable.told(run.campaign, table), run.handed_out
+    told, handed_out = ResultTable.told(run.campaign, table, reading), run.handed_out
     ids = np.concatenate([handed_out.asked.id, handed_out.history.id])
     designs = handed_out.history.designs.reshape(-1, run.space.dimension)
-    told.check_handed_out(run.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
-    return told, handed_out
+    return told.checked(
+        run.campaign, ids, np.concatenate([handed_out.asked.designs, designs]), reading, changed
+    ), handed_out
 
 
 def drop(run: "Run", ids: Iterable[int] | int) -> int:
@@ -152,14 +173,25 @@ def drop(run: "Run", ids: Iterable[int] | int) -> int:
         return telling.drop(run.store, np.array([index(number) for number in numbers], dtype=np.int64))
 
 
-def add(run: "Run", table: Any) -> int:
+def add(
+    run: "Run",
+    table: Any,
+    *,
+    names: Mapping[str, str] | None = None,
+    skip_invalid: bool = False,
+    outside: Literal["refuse", "keep"] = "refuse",
+) -> int:
     """Record simulations that were not asked for, such as last year's; they are durable once this returns.
 
-    The classifier learns from them. They are not part of the initial design, which is a sample of the design
-    space, and do not count towards the budget. A simulation that is recorded already is ignored.
+    The classifier learns from them. They do not count towards the budget. Those with an outcome and inside the design
+    space take the place of designs of the initial design that were not handed out yet, but for two: only the
+    initial design is a sample of the design space. A simulation that is recorded already is ignored.
 
     Args:
         table: as for `tell`, with all variables in place of `id`.
+        names, skip_invalid: as for `tell`.
+        outside: what to do with a design outside the design space: "refuse" it, or "keep" it, so that the classifier
+            learns from it.
 
     Returns:
         Number of new simulations.
@@ -168,35 +200,56 @@ def add(run: "Run", table: Any) -> int:
         InputError: naming row, column, rule and value.
         StoreError: if the run is not open for writing, or they cannot be recorded.
     """
-    from activefail.campaign.results_table import ResultTable
+    from activefail.campaign.results_table import Reading, ResultTable
     from activefail.loop import telling
 
+    if outside not in ("refuse", "keep"):
+        raise InputError(f'outside: must be "refuse" or "keep", got {outside!r}.')
     checked = table_of(table)
     if not checked.rows:
         return 0
-    added = ResultTable.added(run.campaign, checked)
+    added = ResultTable.added(run.campaign, checked, Reading(names or {}, skip_invalid, outside == "keep"))
     with run._turn:
-        return _record(run, added, telling.add, added.designs)
+        return _record(run, added, telling.add, "designs", skip_invalid)
 
 
 def _record(
-    run: "Run", results: "ResultTable", record: Callable[..., int], which: np.ndarray, more: "Sequence[str]" = ()
+    run: "Run",
+    results: "ResultTable",
+    record: Callable[..., int],
+    which: Literal["ids", "designs"],
+    skip_invalid: bool,
+    more: "Sequence[str]" = (),
 ) -> int:
     """Record results of a table, with warnings of likely mistakes in it; returns how many are new.
 
     Args:
         results: in the table.
         record: a function of `activefail.loop.telling`.
-        which: the ids of their designs, or the designs.
+        which: what names the designs.
+        skip_invalid: whether to leave out rows that cannot be recorded.
         more: further warnings.
     """
+    from activefail.campaign.results_table import refusal
+    from activefail.loop.telling import RowsError
+    from activefail.record.asked import bits_of
+    from activefail.record.labels import keep_labels
 
     def warn() -> None:
         # Before the commit, because warnings may be raised as errors. Attributed to the caller of `tell` or `add`.
         for text in (*results.warnings(run.campaign), *more):
             warnings.warn(text, stacklevel=5)
 
-    with rows_named(results):
-        new = record(run.campaign, run.store, which, results.results, warn)
+    try:
+        new = record(run.campaign, run.store, getattr(results, which), results.results, warn)
+    except RowsError as error:
+        reasons = {row: f"{results.table.places[row]}: {reason}." for row, reason in error.reasons.items()}
+        if not skip_invalid:
+            raise refusal(list(reasons.values())) from None
+        return _record(run, results.without(reasons), record, which, skip_invalid, more)
+    if any(labels := results.labels(run.campaign)):
+        places = dict(zip(bits_of(run.history.designs), run.history.id.tolist(), strict=True))
+        ids = results.ids.tolist() if which == "ids" else [places[bits] for bits in bits_of(results.designs)]
+        keep_labels(run.store, ids, labels)
     run._predicts = None
     return new

@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -357,6 +358,113 @@ def test_a_wrong_row_is_refused_with_its_place_and_nothing_of_the_table_is_recor
     said = activefail("tell", folder, "--csv", path)
     refused(said, message, str(path))
     assert "required" in message or f"{path}: row 2 (line 3)" in said.err
+
+
+def test_all_rows_that_break_a_rule_are_named_at_once_and_the_others_can_be_kept(lab: Path, tmp_path: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.ask(3)
+        rows = [{"load": 2.0 + k / 100, "strength": 8.0, "g": "" if k % 2 else 1.0, "note": f"{k}"} for k in range(30)]
+        path = written(tmp_path / "old.csv", [*rows, {"load": 9.0, "strength": 8.0, "g": -1.0, "note": "outside"}])
+        with pytest.raises(InputError) as caught:
+            run.add(path)
+        text = str(caught.value).splitlines()
+        assert text[0].startswith("16 rows break rules; nothing is recorded (keep the others: `--skip-invalid`")
+        assert len(text) == 12
+        assert text[1].strip().startswith(f"{path}: row 2 (line 3)")
+        assert text[-1] == "  and 6 more"
+        with pytest.warns(UserWarning, match=r"16 rows are skipped: .*row 2 \(line 3\)"):
+            assert run.add(path, skip_invalid=True) == 15
+        told = [
+            {"id": 0, "g": 1.0},
+            {"id": 0, "g": 2.0},
+            {"id": 1, "g": 0.5, "load": 3},
+            {"id": 77, "g": 1.0},
+            {"id": 2, "g": 1},
+        ]
+        with pytest.raises(InputError, match=r"column load: must be "):
+            run.tell(told)
+        del told[2]
+        with pytest.raises(
+            InputError, match=r"(?s)2 rows .*row 1: id 0 has the result .*row 3|2 rows .*id 77 is unknown"
+        ):
+            run.tell(told)
+        with pytest.warns(UserWarning, match="2 rows are skipped"):
+            assert run.tell(told, skip_invalid=True) == 2
+        # The rows of `old.csv` have labels.
+        assert run.simulations["note"].tolist()[:3] == ["0", "2", "4"]
+
+
+def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mapped(lab: Path, tmp_path: Path) -> None:
+    lab.write_text(LAB.replace('"safe", "failure"', '"safe", "damage", "failure"').replace(', margins = ["g"]', ""))
+    row = {"Load [N]": 2500.0, "strength_MPa": "8", "Result": "collapsed", "tested by": "=Ben"}
+    path = written(tmp_path / "old.csv", [row, row | {"Load [N]": 3000.0, "Result": "safe"}])
+    folder = lab.with_name("run")
+    with af.create_run(folder, lab) as run:
+        for name in ("load [kN]", "Load", "load_kN", "load (kN)", "LOAD, kN"):
+            with pytest.raises(InputError) as caught:
+                run.add([{name: 2.5, "strength": 8.0, "outcome": "safe"}])
+            assert f'It may be {name!r} (--map "load={name}", with a factor if the unit differs)' in str(caught.value)
+        names = {"load": "Load [N]/1000", "strength": "strength_MPa", "outcome": "Result", "failure": "collapsed"}
+        for wrong, message in (
+            ({"loat": "x"}, "map: must name one of id, outcome, "),
+            ({"load": "Loda"}, "column 'Loda': missing; the columns are Load [N],"),
+        ):
+            with pytest.raises(InputError, match=re.escape(message)):
+                run.add(path, names=names | wrong)
+    (tmp_path / "map.toml").write_text('outcome = "Result"\nfailure = "collapsed"\n')
+    options = ("--map", "load=Load [N]/1000", "--map", "strength=strength_MPa", "--map", tmp_path / "map.toml")
+    assert activefail("add", folder, "--csv", path, *options).out == "2 simulations added\n"
+    assert activefail("export", folder, "--csv", tmp_path / "all.csv").code == 0
+    rows = table(tmp_path / "all.csv")
+    assert [(float(row["load"]), row["outcome"]) for row in rows] == [(2.5, "failure"), (3.0, "safe")]
+    # Their labels come back, and no spreadsheet runs them.
+    assert [row["tested by"] for row in rows] == ["'=Ben"] * 2
+
+
+def test_simulations_outside_the_space_are_learned_from_if_they_are_to_be_kept(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.tell(answered(run.ask(8)))
+        outside = [{"load": 6.0, "strength": 1.0, "g": -11.0}]
+        with pytest.raises(InputError, match="`1 <= load <= 5` must hold"):
+            run.add(outside)
+        before, bound = run.predict([[5.0, 2.0]])["latent_mean"][0], run.summary.initial.tolist()
+        assert run.add(outside, outside="keep") == 1
+        assert run.predict([[5.0, 2.0]])["latent_mean"][0] != before
+        assert run.summary.initial.tolist() == bound
+        assert len(run.ask(4)) == 4
+
+
+def test_added_simulations_take_the_place_of_initial_designs_but_for_two(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        whole = run.space.latin_hypercube(4, np.random.default_rng(1))
+        given = pd.DataFrame(whole, columns=["load", "strength"])
+        run.add(answered(given))
+        run.add([{"load": 2.0, "strength": 7.0, "outcome": "numerical_failure"}])
+        run.add([{"load": 9.0, "strength": 7.0, "g": -11.0}], outside="keep")
+        assert len(run.ask(3)) == 3
+        assert len(run.ask(8)) == 1  # 4 of 8 are covered
+    with af.create_run(lab.with_name("other"), lab) as run:
+        run.add(
+            answered(
+                pd.DataFrame(run.space.latin_hypercube(30, np.random.default_rng(1)), columns=["load", "strength"])
+            )
+        )
+        assert len(run.ask(8)) == 2
+        run.tell(answered(run.in_flight))
+        assert len(run.ask(4)) == 4
+
+
+def test_a_laboratory_that_rounds_tells_what_it_tested_and_reaches_its_budget(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        while len(designs := run.ask(4)):
+            tested = answered(designs.assign(load=designs["load"].round(1), strength=designs["strength"].round(1)))
+            assert run.tell(tested, changed=True) == len(designs)
+            assert run.tell(tested) == 0
+        assert run.counts["in_flight"] == 0
+        assert len(run.simulations) == 16
+        assert (run.simulations["load"] == run.simulations["load"].round(1)).all()
+        with pytest.raises(InputError, match="must lie in the design space"):
+            run.tell([{"id": 0, "load": 7.0, "g": 1.0}], changed=True)
 
 
 def test_without_any_outcome_no_number_of_simulations_can_be_learned_from(lab: Path) -> None:

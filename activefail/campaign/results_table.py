@@ -2,7 +2,9 @@
 
 import difflib
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -25,6 +27,54 @@ _ROUNDED = 5e-5
 """Relative error of a value of five significant digits, the fewest that programs and spreadsheets write by default."""
 
 
+_EXPORTED = ("iteration", "origin")
+"""Columns of an exported table that say how a campaign came to a simulation."""
+
+_SHOWN = 10
+"""Most rows that a message names."""
+
+_REMEDY = "keep the others: `--skip-invalid`, or `skip_invalid=True` in Python"
+
+
+def refusal(faults: Sequence[str]) -> InputError:
+    """The error of a table with rows that break rules, one text for each."""
+    if len(faults) == 1:
+        return InputError(faults[0])
+    more = [f"and {len(faults) - _SHOWN} more"] * (len(faults) > _SHOWN)
+    return InputError(
+        "\n  ".join([f"{len(faults)} rows break rules; nothing is recorded ({_REMEDY}):", *faults[:_SHOWN], *more])
+    )
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a table of results is read.
+
+    Attributes:
+        names: the table's own names, units and words: for a column or an outcome of the campaign, what the table has
+            in its place (`Table.named`).
+        skip_invalid: whether to leave out rows that break a rule.
+        keeps_outside: whether simulations that were not asked for may lie outside the design space.
+    """
+
+    names: Mapping[str, str] = field(default_factory=dict)
+    skip_invalid: bool = False
+    keeps_outside: bool = False
+
+    def table(self, campaign: Campaign, table: Table) -> Table:
+        """The table in the campaign's names, units and words.
+
+        Raises:
+            InputError: if a name is unknown, or its column is missing.
+        """
+        outcomes, known = (*campaign.simulator.outcomes, "numerical_failure"), _known(campaign)
+        for name in self.names:
+            if name not in (*outcomes, *known):
+                raise InputError(f"map: must name one of {', '.join((*known, *outcomes))}, got {name!r}.")
+        words = {name: text for name, text in self.names.items() if name in outcomes}
+        return table.named({name: text for name, text in self.names.items() if name not in words}, words, _OUTCOME)
+
+
 @dataclass(frozen=True)
 class ResultTable:
     """The results in a table.
@@ -34,56 +84,116 @@ class ResultTable:
         ids: (n,) int64, of the designs; empty in a table of simulations that were not asked for.
         designs: (n, d) float64, NaN where the table has no such column.
         results: of the n designs.
+        skipped: why other rows were left out.
     """
 
     table: Table
     ids: NDArray[np.int64]
     designs: Array
     results: Results
+    skipped: tuple[str, ...] = ()
 
     @classmethod
-    def told(cls, campaign: Campaign, table: Table) -> Self:
+    def told(cls, campaign: Campaign, table: Table, reading: Reading) -> Self:
         """The results of designs that were handed out. Rows without any result are skipped.
 
         Raises:
-            InputError: naming row, column, rule and value of the first cell that breaks a rule.
+            InputError: naming row, column, rule and value of the first cells that break a rule.
         """
-        table.require([_ID])
+        table = reading.table(campaign, table)
+        _require(table, [_ID])
         _require_result(campaign, table)
         answers = [_OUTCOME, *campaign.simulator.margins]
         rows = range(len(table.rows))
         table = table.only([row for row in rows if any(table.cell(row, name) is not None for name in answers)])
-        ids = np.array([_whole(table, row) for row in range(len(table.rows))], dtype=np.int64)
-        return cls(table, ids, _designs(campaign, table), _results(campaign, table))
+        return cls._of_rows(campaign, table, reading, lambda row: _whole(table, row), lambda _row, _design: None)
 
     @classmethod
-    def added(cls, campaign: Campaign, table: Table) -> Self:
-        """Simulations that were not asked for, of designs in the design space.
+    def added(cls, campaign: Campaign, table: Table, reading: Reading) -> Self:
+        """Simulations that were not asked for.
 
         Raises:
-            InputError: naming row, column, rule and value of the first cell that breaks a rule.
+            InputError: naming row, column, rule and value of the first cells that break a rule.
         """
-        table.require(campaign.space.names)
+        table = reading.table(campaign, table)
+        _require(table, campaign.space.names)
         _require_result(campaign, table)
-        designs = _designs(campaign, table)
-        for row, design in enumerate(designs.tolist()):
-            for parameter, value in zip(campaign.space.parameters, design, strict=True):
-                if not parameter.contains(value):
-                    raise table.broken(row, parameter.name, f"{parameter.rule} must hold", value)
-        none = np.empty(0, dtype=np.int64)
-        return cls(table, none, designs, _results(campaign, table))
+
+        def check(row: int, design: Array) -> None:
+            for parameter, value in zip(campaign.space.parameters, design.tolist(), strict=True):
+                if not parameter.low <= value <= parameter.high and not reading.keeps_outside:
+                    rule = f"`{parameter.low:g} <= {parameter.name} <= {parameter.high:g}` must hold"
+                    raise table.broken(row, parameter.name, rule, value)
+            with np.errstate(all="ignore"):
+                if reading.keeps_outside and not np.isfinite(campaign.features(design[None])).all():
+                    raise InputError(f"{table.places[row]}: the features of {design.tolist()} must be finite.")
+
+        added = cls._of_rows(campaign, table, reading, lambda _: 0, check)
+        return replace(added, ids=np.empty(0, dtype=np.int64))
+
+    @classmethod
+    def _of_rows(
+        cls,
+        campaign: Campaign,
+        table: Table,
+        reading: Reading,
+        id_of: Callable[[int], int],
+        check: Callable[[int, Array], None],
+    ) -> Self:
+        rows, ids, designs, results, faults = [], [], [], [], []
+        for row in range(len(table.rows)):
+            try:
+                number, design = id_of(row), _design(campaign, table, row)
+                check(row, design)
+                results.append(_result(campaign, table, row))
+            except InputError as error:
+                faults.append(str(error))
+                continue
+            rows.append(row)
+            ids.append(number)
+            designs.append(design)
+        if faults and not reading.skip_invalid:
+            raise refusal(faults)
+        return cls(
+            table.only(rows),
+            np.array(ids, dtype=np.int64),
+            np.array(designs).reshape(len(rows), campaign.space.dimension),
+            _joined(campaign, results),
+            tuple(faults),
+        )
+
+    def labels(self, campaign: Campaign) -> list[dict[str, str]]:
+        """The cells of the user's own columns that are not empty, by row."""
+        known = {*_known(campaign), *_EXPORTED, ""}
+        own = [name for name in self.table.columns if name not in known]
+        rows = range(len(self.table.rows))
+        return [{name: str(cell) for name in own if (cell := self.table.cell(row, name)) is not None} for row in rows]
+
+    def without(self, faults: Mapping[int, str]) -> Self:
+        """The results without rows that cannot be recorded, for these reasons."""
+        rows = [row for row in range(len(self.table.rows)) if row not in faults]
+        ids = self.ids[rows] if len(self.ids) else self.ids
+        skipped = (*self.skipped, *faults.values())
+        return type(self)(
+            self.table.only(rows), ids, self.designs[rows], self.results[np.array(rows, dtype=int)], skipped
+        )
 
     def warnings(self, campaign: Campaign) -> list[str]:
         """Likely mistakes: misspelt columns, and margins that are missing or contradict the outcome."""
         simulator, names = campaign.simulator, self.table.columns
-        known = [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *campaign.space.names, *campaign.space.fixed]
+        known = _known(campaign)
         texts = []
+        if self.skipped:
+            more = f" and {len(self.skipped) - _SHOWN} more" if len(self.skipped) > _SHOWN else ""
+            texts.append(f"{len(self.skipped)} rows are skipped: {' '.join(self.skipped[:_SHOWN])}{more}")
         for name in names:
             # `tell` requires the id, and `add` ignores it.
             missing = [one for one in known if one not in (*names, _ID)]
-            close = difflib.get_close_matches(name, missing, 1, 0.75)
+            close = [one for one in missing if _may_be(one, name)] or difflib.get_close_matches(name, missing, 1, 0.75)
             if name not in known and close:
-                texts.append(f"{self.table.name}column {name!r} is ignored; {close[0]!r} is missing.")
+                texts.append(
+                    f"{self.table.name}column {name!r} is ignored; {close[0]!r} is missing{_way(close[0], name)}."
+                )
         if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
             return texts
         name, worst = simulator.margins[0], simulator.outcomes[-1]
@@ -102,17 +212,47 @@ class ResultTable:
                 texts.append(f"{self.table.places[row]}: {said}")
         return texts
 
-    def check_handed_out(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
-        """Check that no design was changed since it was handed out.
+    def checked(
+        self, campaign: Campaign, ids: NDArray[np.int64], designs: Array, reading: Reading, changed: bool
+    ) -> Self:
+        """The results, with the designs that were handed out, or changed since if that is allowed.
+
+        Args:
+            campaign, ids, designs: as for `changed`.
+            reading: how the table is read.
+            changed: whether designs may differ from those that were handed out.
+
+        Raises:
+            InputError: naming row, column and both values of designs that differ, or that lie outside the space.
+        """
+        if not changed:
+            faults = self.changed(campaign, ids, designs)
+            if faults and not reading.skip_invalid:
+                raise refusal(list(faults.values()))
+            return self.without(faults)
+        place = {number: k for k, number in enumerate(ids.tolist())}
+        asked = np.array([designs[place[number]] if number in place else design for number, design in self._named()])
+        simulated = np.where(np.isnan(self.designs), asked.reshape(self.designs.shape), self.designs)
+        faults = {
+            row: f"{self.table.places[row]}: {simulated[row].tolist()} must lie in the design space."
+            for row in np.flatnonzero(~campaign.space.contains(simulated)).tolist()
+        }
+        if faults and not reading.skip_invalid:
+            raise refusal(list(faults.values()))
+        return replace(self, designs=simulated).without(faults)
+
+    def _named(self) -> list[tuple[int, Array]]:
+        return list(zip(self.ids.tolist(), self.designs, strict=True))
+
+    def changed(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> dict[int, str]:
+        """Why rows have other designs than were handed out, by row.
 
         Args:
             campaign: the campaign.
             ids: (k,) of the designs that were handed out.
             designs: (k, d) these designs.
-
-        Raises:
-            InputError: naming row, column and both values.
         """
+        faults = {}
         place = {number: k for k, number in enumerate(ids.tolist())}
         for row, (number, told) in enumerate(zip(self.ids.tolist(), self.designs, strict=True)):
             if number not in place:
@@ -129,7 +269,8 @@ class ResultTable:
             if not (is_same.all() and is_nearest):
                 worst = np.flatnonzero(given)[int(np.argmax(np.where(is_same, 0.0, 1.0) + own))]
                 rule = f"must be {float(asked[worst])!r}, as handed out with id {number} (use `add` for another design)"
-                raise self.table.broken(row, campaign.space.names[worst], rule, float(told[worst]))
+                faults[row] = str(self.table.broken(row, campaign.space.names[worst], rule, float(told[worst])))
+        return faults
 
 
 def _distance(space: DesignSpace, design: Array, designs: Array) -> Array:
@@ -144,6 +285,37 @@ def _distance(space: DesignSpace, design: Array, designs: Array) -> Array:
     return np.where(np.isnan(distance), np.inf, distance)
 
 
+def _known(campaign: Campaign) -> list[str]:
+    """The names of the columns that a table of results may have."""
+    simulator, space = campaign.simulator, campaign.space
+    return [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *space.names, *space.fixed]
+
+
+def _may_be(name: str, column: str) -> bool:
+    """Whether a column may be the one of this name, with a unit or in other letters: load [kN], Load, load_kN."""
+    plain = re.sub(r"\s*[\[({].*$", "", column).strip().casefold()
+    return plain == name.casefold() or bool(re.match(rf"{re.escape(name.casefold())}[\s_,.-]", plain))
+
+
+def _way(name: str, column: str) -> str:
+    return f' (--map "{name}={column}", with a factor if the unit differs)'
+
+
+def _require(table: Table, names: Sequence[str]) -> None:
+    """Check that columns exist.
+
+    Raises:
+        InputError: naming the first that is missing, and what may be it.
+    """
+    try:
+        table.require(names)
+    except InputError as error:
+        missing = next(name for name in names if name not in table.columns)
+        close = [column for column in table.columns if _may_be(missing, column)]
+        hint = f" It may be {close[0]!r}{_way(missing, close[0])}." if close else ""
+        raise InputError(f"{error}{hint}") from None
+
+
 def _require_result(campaign: Campaign, table: Table) -> None:
     """Check that a table has the outcome, or the only margin, if that decides it.
 
@@ -153,8 +325,10 @@ def _require_result(campaign: Campaign, table: Table) -> None:
     deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) else ())]
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
+        close = [(name, column) for name in deciding for column in table.columns if _may_be(name, column)]
+        hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else ""
         raise InputError(
-            f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}."
+            f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}.{hint}"
         )
 
 
@@ -175,36 +349,35 @@ def _whole(table: Table, row: int) -> int:
     return int(number)
 
 
-def _designs(campaign: Campaign, table: Table) -> Array:
-    """The designs of rows, (n, d), NaN where a column is missing. Fixed quantities must have their values.
+def _design(campaign: Campaign, table: Table, row: int) -> Array:
+    """The design of a row, (d,), NaN where a column is missing. Fixed quantities must have their values.
 
     Raises:
         InputError: if a cell is no finite number.
     """
-    designs = np.full((len(table.rows), campaign.space.dimension), np.nan)
-    for column, name in enumerate(campaign.space.names):
-        if name in table.columns:
-            designs[:, column] = table.numbers([name])[:, 0]
+    names = campaign.space.names
+    design = np.array([table.finite(row, name) if name in table.columns else np.nan for name in names])
     for name, value in campaign.space.fixed.items():
+<<<<<<< HEAD
         if name in table.columns:
             for row, number in enumerate(table.numbers([name])[:, 0].tolist()):
                 if abs(number - value) > _ROUNDED * abs(value):
                     raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return designs
+=======
+        if name in table.columns and abs(table.finite(row, name) - value) > _ROUNDED * abs(value):
+            raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
+    return design
+>>>>>>> 685a48d (Tables of results: all faults at once, other names and units, designs outside the space or as tested, labels; added simulations cover the initial design)
 
 
-def _results(campaign: Campaign, table: Table) -> Results:
-    """The results of rows.
-
-    Raises:
-        InputError: naming row, column, rule and value of the first cell that breaks a rule.
-    """
+def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:
+    """The results of rows."""
     k = len(campaign.simulator.margins)
     empty = Results(
         np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int8), np.empty((0, k)), np.empty(0, dtype=np.float64)
     )
-    results = Results.concatenate([empty, *(_result(campaign, table, row) for row in range(len(table.rows)))])
-    return settled(campaign.simulator, results)
+    return settled(campaign.simulator, Results.concatenate([empty, *parts]))
 
 
 def _result(campaign: Campaign, table: Table, row: int) -> Results:

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -30,6 +30,16 @@ if TYPE_CHECKING:
 
     from activefail.run import Run
 
+Names = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        help='What the table has in place of a name, such as "load=Load [N]/1000" or "failure=collapsed", or a TOML '
+        "file with such lines; repeatable.",
+        show_default=False,
+    ),
+]
+SkipInvalid = Annotated[bool, typer.Option("--skip-invalid", help="Leave out rows that break a rule, and name them.")]
 Designs = Annotated[int, typer.Option("--n", help="Number of designs.", min=1, max=100_000)]
 
 
@@ -157,12 +167,19 @@ def tell(
     correct: Annotated[
         bool, typer.Option("--correct", help="Replace recorded results that were wrong; the former ones are kept.")
     ] = False,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Record the designs in the table, such as rounded ones, as simulated.")
+    ] = False,
+    names: Names = None,
+    skip_invalid: SkipInvalid = False,
     code: Code = None,
 ) -> None:
     """Record the results of designs that were handed out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         with _shown_warnings():
-            new = opened.tell(table_input(csv), correct=correct)
+            new = opened.tell(
+                table_input(csv), correct=correct, changed=changed, names=_names(names), skip_invalid=skip_invalid
+            )
         left, summary = opened.counts["in_flight"], opened.summary
         if correct:
             _show_corrections(opened, new)
@@ -171,6 +188,25 @@ def tell(
     else:
         print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
     show_unseen(summary)
+
+
+def _names(texts: list[str] | None) -> dict[str, str]:
+    """The names in options `--map`: name=text, or a TOML file of such pairs.
+
+    Raises:
+        InputError: if a text is neither.
+    """
+    from activefail.campaign.settings import read_toml
+
+    names: dict[str, str] = {}
+    for text in texts or ():
+        name, sign, of = text.partition("=")
+        found = {name.strip(): of.strip()} if sign else read_toml(Path(text))
+        for key, value in found.items():
+            if not (key and value and isinstance(value, str)):
+                raise InputError(f'--map: must be "name=column" or a TOML file of such texts, got {key!r} = {value!r}.')
+            names[key] = value
+    return names
 
 
 def _show_corrections(run: "Run", number: int) -> None:
@@ -212,12 +248,17 @@ def add(
     csv: Annotated[
         Path, typer.Option(help="Table of simulations, with all variables; - is standard input.", show_default=False)
     ],
+    names: Names = None,
+    skip_invalid: SkipInvalid = False,
+    outside: Annotated[
+        Literal["refuse", "keep"], typer.Option(help="What to do with designs outside the design space.")
+    ] = "refuse",
     code: Code = None,
 ) -> None:
     """Record simulations that `ask` did not hand out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         with _shown_warnings():
-            new = opened.add(table_input(csv))
+            new = opened.add(table_input(csv), names=_names(names), skip_invalid=skip_invalid, outside=outside)
         summary = opened.summary
     print(f"{_counted(new, 'simulation')} added")
     show_unseen(summary)

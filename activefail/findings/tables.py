@@ -18,6 +18,7 @@ from activefail.files import replacing, target_of, writing_to
 from activefail.loop.history import History
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
+from activefail.record.labels import labels_of
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
@@ -47,7 +48,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     """The simulations of a record, in its order.
 
     `id`, `iteration`, `origin`, the variables, `outcome`, `cause` ("" if there is none), the margins (NaN where
-    undefined), and `seconds`.
+    undefined), `seconds`, and the user's own columns of tables of results.
     """
     import pandas as pd
 
@@ -57,7 +58,8 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     columns |= space.columns(history.designs)
     columns |= _result_columns(campaign, history)
     columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
-    return pd.DataFrame(columns)
+    labels = labels_of(store, history.id)
+    return pd.DataFrame(columns | {name: cells for name, cells in labels.items() if name not in columns})
 
 
 def corrections_frame(campaign: Campaign, store: Store) -> "DataFrame":

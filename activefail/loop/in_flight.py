@@ -9,9 +9,12 @@ from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs
 from activefail.record.asked import Asked, are_among
-from activefail.record.batch import INITIAL
+from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.space import Array
+
+_LEAST = 2
+"""Designs of the initial design that are asked in any case: bounds without a classifier rest on them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +51,20 @@ class HandedOut:
     def initial_left(self, campaign: Campaign) -> Array:
         """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order.
 
+        Each given simulation with an outcome inside the design space takes the place of one, but for `_LEAST` of them:
+        which are left does not depend on where the given ones are, so those that are asked stay a sample of the space.
         A Latin hypercube that gave no outcome at all is followed by another.
         """
         handed_out, size = int((self.asked.origin == INITIAL).sum()), campaign.settings.sampling.initial
         sets = max(1, -(-handed_out // size))
-        left = self._new(initial_designs(campaign, sets))
+        hypercubes = initial_designs(campaign, sets)
+        given = self.history[(self.history.origin == GIVEN) & self.history.answered].designs.reshape(
+            -1, hypercubes.shape[1]
+        )
+        # A given design of the hypercubes is not among those that are left.
+        covering = campaign.space.contains(given) & ~are_among(given, hypercubes)
+        left = self._new(hypercubes)
+        left = left[: max(len(left) - int(covering.sum()), min(_LEAST, size) - handed_out, 0)]
         is_needed = not self.history.answered.any() and not len(self.in_flight) and handed_out == sets * size
         return self._new(initial_designs(campaign, sets + 1)) if is_needed and not len(left) else left
 

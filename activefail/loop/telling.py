@@ -3,7 +3,9 @@
 A table is recorded whole or not at all.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +23,27 @@ from activefail.space import Array
 _CORRECTING = "to replace it: `tell --correct`, or `correct=True` in Python"
 
 
-class RowError(InputError):
-    """A row of a table of results that cannot be recorded.
+class RowsError(InputError):
+    """Rows of a table of results that cannot be recorded.
 
     Attributes:
-        row: of the table of results, from 0.
+        reasons: by row of the table of results, from 0.
     """
 
-    def __init__(self, row: int, reason: str, campaign: Campaign, results: Results) -> None:
-        super().__init__(f"{reason}; this row has {_shown(campaign, results, row)}")
-        self.row = row
+    def __init__(self, reasons: dict[int, str], campaign: Campaign, results: Results) -> None:
+        self.reasons = {
+            row: f"{reason}; this row has {_shown(campaign, results, row)}" for row, reason in reasons.items()
+        }
+        super().__init__("\n".join(self.reasons.values()))
+
+
+@contextmanager
+def _rows_of(campaign: Campaign, results: Results) -> Iterator[dict[int, str]]:
+    """Collects why rows cannot be recorded; raises RowsError at the end if there are any."""
+    reasons: dict[int, str] = {}
+    yield reasons
+    if reasons:
+        raise RowsError(reasons, campaign, results)
 
 
 def record(store: Store, designs: Asked, results: Results) -> None:
@@ -44,6 +57,7 @@ def tell(
     ids: NDArray[np.int64],
     results: Results,
     before_commit: Callable[[], None] = lambda: None,
+    simulated: Array | None = None,
 ) -> int:
     """Record the results of designs that were handed out; they are durable once this returns.
 
@@ -53,6 +67,7 @@ def tell(
         ids: (n,) of the designs. They may be any of those in flight, in any order.
         results: of the n designs.
         before_commit: called once the results are checked; nothing is recorded if it raises.
+        simulated: (n, d) designs that were simulated in place of those that were handed out; None if these were.
 
     Returns:
         Number of new results. A result that was told before is not counted.
@@ -66,8 +81,10 @@ def tell(
     before_commit()
     if new:
         numbers = sorted(new)
-        designs = handed.asked[np.searchsorted(handed.asked.id, numbers)]
-        record(store, designs, results[np.array([new[number] for number in numbers])])
+        designs, rows = handed.asked[np.searchsorted(handed.asked.id, numbers)], [new[number] for number in numbers]
+        if simulated is not None:
+            designs = replace(designs, designs=simulated[rows])
+        record(store, designs, results[np.array(rows)])
     return len(new)
 
 
@@ -83,18 +100,18 @@ def new_results(campaign: Campaign, ids: NDArray[np.int64], results: Results, ha
     """
     recorded, known = _places(handed.history.id), _places(handed.asked.id)
     new: dict[int, int] = {}
-    for number, row in _rows(campaign, ids, results).items():
-        if number in recorded:
-            if not _is_same(handed.history, recorded[number], results, row):
-                former = _shown(campaign, handed.history, recorded[number])
-                raise RowError(row, f"id {number} already has the result {former} ({_CORRECTING})", campaign, results)
-        elif number not in known:
-            reason = f"id {number} is unknown: no design was handed out with this id"
-            raise RowError(row, reason, campaign, results)
-        elif handed.asked.dropped[known[number]]:
-            raise RowError(row, f"id {number} was dropped (use `add` to record its result)", campaign, results)
-        else:
-            new[number] = row
+    with _rows_of(campaign, results) as reasons:
+        for number, row in _rows(ids, results, campaign, reasons).items():
+            if number in recorded:
+                if not _is_same(handed.history, recorded[number], results, row):
+                    former = _shown(campaign, handed.history, recorded[number])
+                    reasons[row] = f"id {number} already has the result {former} ({_CORRECTING})"
+            elif number not in known:
+                reasons[row] = f"id {number} is unknown: no design was handed out with this id"
+            elif handed.asked.dropped[known[number]]:
+                reasons[row] = f"id {number} was dropped (use `add` to record its result)"
+            else:
+                new[number] = row
     return new
 
 
@@ -123,14 +140,16 @@ def correct(
         StoreError: if the corrections cannot be recorded.
     """
     handed = HandedOut.of(store)
-    recorded, rows = _places(handed.history.id), _rows(campaign, ids, results)
-    for number, row in rows.items():
-        if number not in recorded:
-            if number in handed.in_flight.id:
-                way = "it is in flight: `tell` it without `correct`"
-            else:
-                way = "it was dropped" if number in handed.asked.id else "no design was handed out with this id"
-            raise RowError(row, f"id {number} has no result to correct ({way})", campaign, results)
+    recorded = _places(handed.history.id)
+    with _rows_of(campaign, results) as reasons:
+        rows = _rows(ids, results, campaign, reasons)
+        for number, row in rows.items():
+            if number not in recorded:
+                if number in handed.in_flight.id:
+                    way = "it is in flight: `tell` it without `correct`"
+                else:
+                    way = "it was dropped" if number in handed.asked.id else "no design was handed out with this id"
+                reasons[row] = f"id {number} has no result to correct ({way})"
     wrong = [one for one, row in rows.items() if not _is_same(handed.history, recorded[one], results, row)]
     before_commit()
     if wrong:
@@ -204,19 +223,19 @@ def add(
     in_flight = dict(zip(bits_of(handed.in_flight.designs), handed.in_flight.id.tolist(), strict=True))
     recorded = {design: row for row, design in enumerate(bits_of(history.designs))}
     new: dict[bytes, int] = {}
-    for row, design in enumerate(bits_of(X)):
-        known: History | Results
-        if design in in_flight:
-            reason = f"the design is in flight with id {in_flight[design]} (use `tell` to record its result)"
-            raise RowError(row, reason, campaign, results)
-        if design in recorded:
-            known, place = history, recorded[design]
-            where = f"as id {history.id[place]} ({_CORRECTING})"
-        else:
-            known, place, where = results, new.setdefault(design, row), "in an earlier row"
-        if not _is_same(known, place, results, row):
-            reason = f"the same design has the result {_shown(campaign, known, place)} {where}"
-            raise RowError(row, reason, campaign, results)
+    with _rows_of(campaign, results) as reasons:
+        for row, design in enumerate(bits_of(X)):
+            known: History | Results
+            if design in in_flight:
+                reasons[row] = f"the design is in flight with id {in_flight[design]} (use `tell` to record its result)"
+                continue
+            if design in recorded:
+                known, place = history, recorded[design]
+                where = f"as id {history.id[place]} ({_CORRECTING})"
+            else:
+                known, place, where = results, new.setdefault(design, row), "in an earlier row"
+            if not _is_same(known, place, results, row):
+                reasons[row] = f"the same design has the result {_shown(campaign, known, place)} {where}"
     before_commit()
     if new:
         rows, ids = np.array(list(new.values())), handed.next_id + np.arange(len(new))
@@ -229,13 +248,12 @@ def _places(ids: NDArray[np.int64]) -> dict[int, int]:
     return {number: place for place, number in enumerate(ids.tolist())}
 
 
-def _rows(campaign: Campaign, ids: NDArray[np.int64], results: Results) -> dict[int, int]:
-    """The first row of each id in a table; raises RowError if a later one has another result."""
+def _rows(ids: NDArray[np.int64], results: Results, campaign: Campaign, reasons: dict[int, str]) -> dict[int, int]:
+    """The first row of each id in a table; adds the reasons of later ones that have another result."""
     first: dict[int, int] = {}
     for row, number in enumerate(ids.tolist()):
         if not _is_same(results, first.setdefault(number, row), results, row):
-            earlier = _shown(campaign, results, first[number])
-            raise RowError(row, f"id {number} has the result {earlier} in an earlier row", campaign, results)
+            reasons[row] = f"id {number} has the result {_shown(campaign, results, first[number])} in an earlier row"
     return first
 
 
