@@ -189,11 +189,10 @@ class ResultTable:
         for name in names:
             # `tell` requires the id, and `add` ignores it.
             missing = [one for one in known if one not in (*names, _ID)]
-            close = [one for one in missing if _may_be(one, name)] or difflib.get_close_matches(name, missing, 1, 0.75)
+            close = [f"{one!r} is missing{_way(one, name)}" for one in missing if _may_be(one, name)]
+            close += [f"{one!r} is missing" for one in difflib.get_close_matches(name, missing, 1, 0.75)]
             if name not in known and close:
-                texts.append(
-                    f"{self.table.name}column {name!r} is ignored; {close[0]!r} is missing{_way(close[0], name)}."
-                )
+                texts.append(f"{self.table.name}column {name!r} is ignored; {close[0]}.")
         if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
             return texts
         name, worst = simulator.margins[0], simulator.outcomes[-1]

@@ -25,7 +25,7 @@ from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_designs
 from activefail.loop.learning import Learned, classifier_after, current
 from activefail.loop.running import run
-from activefail.loop.telling import RowError, add, correct, drop, tell
+from activefail.loop.telling import RowsError, add, correct, drop, tell
 from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, INITIAL, columns_of
 from activefail.record.memory import MemoryStore
@@ -200,7 +200,7 @@ def test_dropped_designs_are_neither_proposed_again_nor_counted() -> None:
         campaign.space.to_unit(later.designs)[:, None] - campaign.space.to_unit(first.designs)[None, :2], axis=2
     )
     assert gaps.min() > 0.01
-    with pytest.raises(RowError, match=r"id 12 was dropped \(use `add` to record its result\); this row has safe"):
+    with pytest.raises(RowsError, match=r"id 12 was dropped \(use `add` to record its result\); this row has safe"):
         tell(campaign, store, first.id[:1], results(0))
 
 
@@ -216,7 +216,7 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
     assert tell(campaign, store, designs.id, results(0, 1)) == 0
     way = r"\(to replace it: `tell --correct`, or `correct=True` in Python\)"
     with pytest.raises(
-        RowError, match=rf"id 1 already has the result broken, distance 0\.5 {way}; this row has safe, distance 0\.5"
+        RowsError, match=rf"id 1 already has the result broken, distance 0\.5 {way}; this row has safe, distance 0\.5"
     ):
         tell(campaign, store, designs.id, results(0, 0))
     assert len(HandedOut.of(store).history) == 2
@@ -225,11 +225,11 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
 def test_a_table_of_results_is_recorded_whole_or_not_at_all() -> None:
     campaign, store = disc(), MemoryStore(disc().schema)
     designs = ask(campaign, store, 2, BUDGET).designs
-    with pytest.raises(RowError, match="id 7 is unknown") as caught:
+    with pytest.raises(RowsError, match="id 7 is unknown") as caught:
         tell(campaign, store, np.array([0, 7]), results(0, 1))
     assert caught.value.row == 1
     with pytest.raises(
-        RowError, match=r"id 0 has the result safe, distance 0\.5 in an earlier row; this row has broken"
+        RowsError, match=r"id 0 has the result safe, distance 0\.5 in an earlier row; this row has broken"
     ):
         tell(campaign, store, np.array([0, 0]), results(0, 1))
     assert store.batches == ()
@@ -254,13 +254,13 @@ def test_an_added_design_in_flight_or_with_another_result_is_refused() -> None:
     campaign, store = disc(), MemoryStore(disc().schema)
     designs = ask(campaign, store, 2, BUDGET).designs
     with pytest.raises(
-        RowError, match=r"the design is in flight with id 0 \(use `tell` to record its result\); this row has"
+        RowsError, match=r"the design is in flight with id 0 \(use `tell` to record its result\); this row has"
     ):
         add(campaign, store, designs.designs[:1], results(0))
     tell(campaign, store, designs.id, results(0, 1))
     way = r"\(to replace it: `tell --correct`, or `correct=True` in Python\)"
     with pytest.raises(
-        RowError, match=rf"the same design has the result safe, distance 0\.5 as id 0 {way}; this row has broken"
+        RowsError, match=rf"the same design has the result safe, distance 0\.5 as id 0 {way}; this row has broken"
     ):
         add(campaign, store, designs.designs[:1], results(1))
     assert add(campaign, store, designs.designs, results(0, 1)) == 0
@@ -776,17 +776,17 @@ def test_only_recorded_results_are_corrected_and_all_of_a_table_or_none() -> Non
         (5, "it was dropped"),
         (9, "no design was handed out with this id"),
     ):
-        with pytest.raises(RowError, match=f"id {number} has no result to correct \\({way}") as caught:
+        with pytest.raises(RowsError, match=f"id {number} has no result to correct \\({way}") as caught:
             correct(campaign, store, np.array([0, number]), Results.concatenate([other, results]))
         assert caught.value.row == 1
-    with pytest.raises(RowError, match=r"id 0 has the result .* in an earlier row"):
+    with pytest.raises(RowsError, match=r"id 0 has the result .* in an earlier row"):
         correct(campaign, store, np.array([0, 0]), Results.concatenate([other, results]))
     assert len(store.corrections) == 0
-    with pytest.raises(RowError, match="to replace it: `tell --correct`, or `correct=True` in Python"):
+    with pytest.raises(RowsError, match="to replace it: `tell --correct`, or `correct=True` in Python"):
         tell(campaign, store, ids, other)
     assert correct(campaign, store, np.array([0, 0]), Results.concatenate([other, other])) == 1
     assert tell(campaign, store, ids, other) == 0
-    with pytest.raises(RowError):
+    with pytest.raises(RowsError):
         tell(campaign, store, ids, results)
 
 
