@@ -110,10 +110,8 @@ def tell(
         return 0
     with run._turn:
         told, handed_out = _told(run, checked, Reading(names or {}, skip_invalid), changed)
-        if changed:
-            return _record(run, told, lambda *of: telling.tell(*of, simulated=told.designs), "ids", skip_invalid)
         if not correct:
-            return _record(run, told, telling.tell, "ids", skip_invalid)
+            return _record(run, told, telling.tell, "ids", skip_invalid, changed=changed)
         lost = telling.lost_margins(run.campaign, told.ids, told.results, handed_out)
         new = _record(run, told, telling.correct, "ids", skip_invalid, lost)
         # What was learned came from the former results.
@@ -220,6 +218,7 @@ def _record(
     which: Literal["ids", "designs"],
     skip_invalid: bool,
     more: "Sequence[str]" = (),
+    changed: bool = False,
 ) -> int:
     """Record results of a table, with warnings of likely mistakes in it; returns how many are new.
 
@@ -229,6 +228,7 @@ def _record(
         which: what names the designs.
         skip_invalid: whether to leave out rows that cannot be recorded.
         more: further warnings.
+        changed: whether the designs of the table are those that were simulated.
     """
     from activefail.campaign.results_table import refusal
     from activefail.loop.telling import RowsError
@@ -241,12 +241,13 @@ def _record(
             warnings.warn(text, stacklevel=5)
 
     try:
-        new = record(run.campaign, run.store, getattr(results, which), results.results, warn)
+        simulated = {"simulated": results.designs} if changed else {}
+        new = record(run.campaign, run.store, getattr(results, which), results.results, warn, **simulated)
     except RowsError as error:
         reasons = {row: f"{results.table.places[row]}: {reason}." for row, reason in error.reasons.items()}
         if not skip_invalid:
             raise refusal(list(reasons.values())) from None
-        return _record(run, results.without(reasons), record, which, skip_invalid, more)
+        return _record(run, results.without(reasons), record, which, skip_invalid, more, changed)
     if any(labels := results.labels(run.campaign)):
         places = dict(zip(bits_of(run.history.designs), run.history.id.tolist(), strict=True))
         ids = results.ids.tolist() if which == "ids" else [places[bits] for bits in bits_of(results.designs)]

@@ -251,7 +251,7 @@ class ResultTable:
             ids: (k,) of the designs that were handed out.
             designs: (k, d) these designs.
         """
-        faults = {}
+        faults: dict[int, str] = {}
         place = {number: k for k, number in enumerate(ids.tolist())}
         for row, (number, told) in enumerate(zip(self.ids.tolist(), self.designs, strict=True)):
             if number not in place:
@@ -357,17 +357,9 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
     names = campaign.space.names
     design = np.array([table.finite(row, name) if name in table.columns else np.nan for name in names])
     for name, value in campaign.space.fixed.items():
-<<<<<<< HEAD
-        if name in table.columns:
-            for row, number in enumerate(table.numbers([name])[:, 0].tolist()):
-                if abs(number - value) > _ROUNDED * abs(value):
-                    raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
-    return designs
-=======
         if name in table.columns and abs(table.finite(row, name) - value) > _ROUNDED * abs(value):
             raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return design
->>>>>>> 685a48d (Tables of results: all faults at once, other names and units, designs outside the space or as tested, labels; added simulations cover the initial design)
 
 
 def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:
