@@ -2,6 +2,7 @@
 
 import ast
 import operator
+import re
 import sys
 import unicodedata
 from collections.abc import Callable, Collection, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from activefail.bearing.design import GRAVITY
+from activefail.space import Constraint
 
 CONSTANTS = {"pi": float(np.pi), "g": GRAVITY}
 """Named constants; g is the acceleration of free fall [m/s²]."""
@@ -41,6 +43,11 @@ class Expression:
 
     text: str
     _tree: ast.expr
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of quantities that it contains, as Python's parser normalises them."""
+        return frozenset(node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)) - {*CONSTANTS}
 
     def __call__(self, quantities: Mapping[str, Any]) -> Any:
         """The value for numbers or arrays."""
@@ -84,6 +91,24 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
             raise ValueError(f"cannot distinguish {other!a} from {name!a}, the same name in Python; rename one")
     _check(tree, text, {*names, *CONSTANTS})
     return Expression(text, tree)
+
+
+_RELATION = re.compile(r"<=|>=|<|>")
+
+
+def parse_constraint(text: str, known: Collection[str]) -> Constraint:
+    """A constraint: two expressions of known names with <=, >=, < or > between them.
+
+    Raises:
+        ValueError: naming the part that is neither.
+    """
+    relations = _RELATION.findall(text)
+    if len(relations) != 1:
+        raise ValueError(f"must be two expressions with one of <=, >=, <, > between them, got {text!r}")
+    left, right = (parse_expression(side, known) for side in text.split(relations[0]))
+    if relations[0].startswith(">"):
+        left, right = right, left
+    return Constraint(text, left.names | right.names, left, right, "=" not in relations[0])
 
 
 def _check(node: ast.expr, text: str, known: Collection[str]) -> None:

@@ -4,9 +4,9 @@ import math
 import signal
 import threading
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,15 @@ Array = NDArray[np.float64]
 LEAST_SHARE = 2.0**-53
 """Least distance from a face of the unit cube at which standard normal values are taken."""
 
+
+LEAST_FEASIBLE = 1e-3
+"""Least share of feasible designs: each sample draws until it has enough."""
+
+_POINTS = 2**16
+"""Points that estimate this share."""
+
+_ROUNDING = 1e-12
+"""Rounding error of both sides of a constraint, relative to their sizes."""
 
 _ROUNDS = 100
 """Most attempts to replace repeated designs of a Latin hypercube."""
@@ -60,25 +69,54 @@ def _read_direction_numbers() -> None:
 
 
 @dataclass(frozen=True)
+class Constraint:
+    """A condition that designs meet: `left` is at most `right`, or less.
+
+    Attributes:
+        text: as a user writes it.
+        names: of the quantities.
+        left, right: of quantities by name, numbers or arrays.
+        is_strict: whether equality breaks it.
+    """
+
+    text: str
+    names: frozenset[str]
+    left: Callable[[Mapping[str, Any]], Any] = field(compare=False, repr=False)
+    right: Callable[[Mapping[str, Any]], Any] = field(compare=False, repr=False)
+    is_strict: bool = field(compare=False, repr=False)
+
+    def holds(self, quantities: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Whether it is met; not where a side is no number."""
+        with np.errstate(all="ignore"):
+            left, right = self.left(quantities), self.right(quantities)
+            # The margin forgives the rounding of decimal numbers: 0.1 + 0.2 <= 0.3.
+            margin = _ROUNDING * (np.abs(left) + np.abs(right))
+            return np.asarray(left < right - margin if self.is_strict else left <= right + margin)
+
+
+@dataclass(frozen=True)
 class DesignSpace:
     """Named variables and their joint distribution, which is the design measure.
 
-    The variables are independent, or correlated by a Gaussian copula.
+    The variables are independent, or correlated by a Gaussian copula. With constraints, the design measure is
+    conditional on them: samples have feasible designs alone. `from_unit` and `from_normal` know of no constraints.
 
     Attributes:
         parameters: the variables.
         fixed: values of further quantities that a simulator needs, the same for every design.
         correlation: pairs of variables and the correlation coefficient of their values.
+        constraints: conditions that all designs meet, of variables and fixed quantities.
         factor: (d, d) the lower Cholesky factor of the copula's correlation matrix; None without correlations.
 
     Raises:
         InputError: if there is no variable, a name occurs twice or is not an identifier, a value is not finite, or the
-            correlations do not define a joint distribution.
+            correlations do not define a joint distribution. Samples raise it if hardly any design is feasible.
     """
 
     parameters: tuple[Parameter, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
     correlation: tuple[tuple[str, str, float], ...] = ()
+    constraints: tuple[Constraint, ...] = ()
     factor: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -162,11 +200,50 @@ class DesignSpace:
         """A bound on the probability of designs outside the bounds: the sum over the variables."""
         return sum(parameter.outside for parameter in self.parameters)
 
-    def without(self, name: str) -> "DesignSpace":
-        """The space of the other variables."""
+    def holding(self, name: str, value: float) -> "DesignSpace":
+        """The space of the other variables, where this one has a value."""
         kept = tuple(parameter for parameter in self.parameters if parameter.name != name)
         pairs = tuple(pair for pair in self.correlation if name not in pair[:2])
-        return DesignSpace(kept, self.fixed, pairs)
+        return DesignSpace(kept, {**self.fixed, name: value}, pairs, self.constraints)
+
+    def meets_constraints(self, X: Array) -> NDArray[np.bool_]:
+        """Which designs, (n, d), meet all constraints, (n,)."""
+        quantities = {**dict(zip(self.names, np.asarray(X).T, strict=True)), **self.fixed}
+        met = np.ones(len(X), dtype=bool)
+        for constraint in self.constraints:
+            met &= constraint.holds(quantities)
+        return met
+
+    @cached_property
+    def feasible_share(self) -> float:
+        """The probability of a feasible design before it is conditional, by 2^16 points; the error is below 0.002."""
+        from scipy.stats import qmc
+
+        if not self.constraints:
+            return 1.0
+        _read_direction_numbers()
+        points = qmc.Sobol(self.dimension, rng=np.random.default_rng(0)).random(_POINTS)
+        return float(self.meets_constraints(self.from_unit(points)).mean())
+
+    def _feasible(self, draw: Callable[[int], Array], n: int) -> Array:
+        """n feasible designs from the points of the unit cube that a sampler draws.
+
+        Raises:
+            InputError: if hardly any design is feasible.
+        """
+        X = self.from_unit(draw(n))
+        if not self.constraints:
+            return X
+        if self.feasible_share < LEAST_FEASIBLE:
+            raise InputError(
+                f"constraints: at least {100 * LEAST_FEASIBLE:g} % of the variables' distribution must meet "
+                f"{' and '.join(repr(one.text) for one in self.constraints)}, got {100 * self.feasible_share:.2g} %."
+            )
+        kept = X[self.meets_constraints(X)]
+        while len(kept) < n:
+            X = self.from_unit(draw(n))
+            kept = np.concatenate([kept, X[self.meets_constraints(X)]])
+        return kept[:n]
 
     def standardised(self, X: Array) -> Array:
         """Designs, shape (n, d), in standard deviations of each variable from its middle."""
@@ -181,7 +258,7 @@ class DesignSpace:
     def contains(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, shape (n, d), are designs of this space; shape (n,)."""
         contained = [p.contains(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
-        return np.asarray(np.all(contained, axis=0))
+        return np.asarray(np.all(contained, axis=0)) & self.meets_constraints(X)
 
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
         """The variables of designs, (n, d), by name, (n,) each; whole numbers are integers."""
@@ -202,12 +279,12 @@ class DesignSpace:
         """
         from scipy.stats import qmc
 
-        X = self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))
+        X = self._feasible(qmc.LatinHypercube(self.dimension, rng=rng).random, n)
         for _ in range(_ROUNDS):
             again = np.delete(np.arange(n), np.unique(X, axis=0, return_index=True)[1])
             if self.designs == math.inf or not len(again):
                 break
-            X[again] = self.from_unit(rng.random((len(again), self.dimension)))
+            X[again] = self.random(len(again), rng)
         return X
 
     def sobol(self, n: int, rng: np.random.Generator) -> Array:
@@ -215,7 +292,11 @@ class DesignSpace:
         from scipy.stats import qmc
 
         _read_direction_numbers()
-        return self.from_unit(qmc.Sobol(self.dimension, rng=rng).random(n))
+        return self._feasible(qmc.Sobol(self.dimension, rng=rng).random, n)
+
+    def random(self, n: int, rng: np.random.Generator) -> Array:
+        """n independent designs, (n, d)."""
+        return self._feasible(lambda number: rng.random((number, self.dimension)), n)
 
     def pick(self, columns: Sequence[Any], names: Sequence[str]) -> list[Any]:
         """The columns of the named quantities, in the order of `names`, from d columns; fixed quantities as numbers.

@@ -62,8 +62,8 @@ class WeightedRows:
         """Values of one variable, (n,)."""
         return self.X[:, self.names.index(name)]
 
-    def without(self, name: str) -> "WeightedRows":
-        """The distribution of the other variables."""
+    def holding(self, name: str, value: float) -> "WeightedRows":
+        """The distribution of the other variables, whatever the value."""
         kept = [column for column, other in enumerate(self.names) if other != name]
         return replace(self, names=tuple(self.names[column] for column in kept), X=self.X[:, kept])
 

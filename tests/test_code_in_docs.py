@@ -155,7 +155,7 @@ def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, mo
 
 
 def test_the_campaign_of_the_page_on_distributions_is_one() -> None:
-    campaign, in_steps = blocks("docs/distributions.md", "toml")
+    campaign, in_steps, _ = blocks("docs/distributions.md", "toml")
     settings = checked(CampaignSettings, tomllib.loads(campaign), "docs/distributions.md")
     assert settings.sampling.batch == 1
     assert settings.space["load"].distribution == "gumbel_max"

@@ -186,7 +186,10 @@ class _Sample:
     def __call__(self, n: int) -> Array:
         """n designs, (n, d)."""
         X = self.space.sobol(n, self.rng)
-        return X if self.widening == 1.0 else self.space.widened(X, self.widening)
+        if self.widening == 1.0:
+            return X
+        wide = self.space.widened(X, self.widening)
+        return np.where(self.space.meets_constraints(wide)[:, None], wide, X)
 
 
 def _candidates_by_search(
@@ -215,6 +218,7 @@ def _candidates_by_search(
         best = np.argsort(-of_pool, kind="stable")[:SHORTLIST]
         unit = space.to_unit(pool[best])
         moved = space.from_unit(np.clip(unit + spread * rng.standard_normal(unit.shape), 0.0, 1.0))
+        moved = np.where(space.meets_constraints(moved)[:, None], moved, pool[best])
         of_moved = value(moved)
         # Each search replaces its own start, so that the shortlist stays spread over the whole boundary.
         improved = of_moved > of_pool[best]

@@ -158,7 +158,8 @@ def first_parents(
 ) -> Array | None:
     """So many parents of a population of n designs, (count, d), from a radial sample; None if no design matters."""
     Z = _radial(n // 2, space.dimension, rng)
-    return _parents(Z, importance(space.from_normal(Z)) / _radial_ratio(Z), count, rng)
+    X, weight = _feasible(space, Z, 1.0 / _radial_ratio(Z))
+    return _parents(Z, importance(X) * weight, count, rng)
 
 
 def next_parents(drawn: Population, count: int, importance: Array, rng: np.random.Generator) -> Array | None:
@@ -176,8 +177,21 @@ def around(space: DesignSpace, n: int, parents: Array | None, rng: np.random.Gen
     """A population of n designs around parents, (k, d), that are independent of it; radial without parents."""
     if parents is None:
         Z = _radial(n, space.dimension, rng)
-        return Population(Z, space.from_normal(Z), 1.0 / _radial_ratio(Z))
+        return Population(Z, *_feasible(space, Z, 1.0 / _radial_ratio(Z)))
     Z = np.concatenate([_radial(n // 2, space.dimension, rng), _local(parents, n - n // 2, rng)])
     share = (n // 2) / n
     ratio = share * _radial_ratio(Z) + (1.0 - share) * _local_ratio(Z, parents)
-    return Population(Z, space.from_normal(Z), 1.0 / ratio)
+    return Population(Z, *_feasible(space, Z, 1.0 / ratio))
+
+
+def _feasible(space: DesignSpace, Z: Array, weight: Array) -> tuple[Array, Array]:
+    """Designs, (n, d), at points of standard normal space, and their weights under the constraints, (n,).
+
+    The weights of infeasible designs are 0. A feasible one takes the place of each, where features exist.
+    """
+    X = space.from_normal(Z)
+    if not space.constraints:
+        return X, weight
+    feasible = space.meets_constraints(X)
+    X[~feasible] = X[feasible.argmax()] if feasible.any() else space.sobol(1, np.random.default_rng(0))[0]
+    return X, weight * feasible / space.feasible_share

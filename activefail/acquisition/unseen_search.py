@@ -30,6 +30,7 @@ def search(space: DesignSpace, known: Array, first: int, q: int, rng: np.random.
     designs = []
     for number in range(first, first + q):
         candidates = space.widened(space.sobol(_POOL, rng), WIDENINGS[number % len(WIDENINGS)])
+        candidates = candidates[space.meets_constraints(candidates)]
         Z = space.standardised(candidates)
         distances = cdist(Z, neighbours).min(axis=1) if len(neighbours) else np.linalg.norm(Z, axis=1)
         best = int(np.argmax(distances))

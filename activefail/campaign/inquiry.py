@@ -8,7 +8,15 @@ from pathlib import Path
 from activefail.acquisition.population import integration_points
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question, question_in, question_of, values_of
+from activefail.campaign.question import (
+    AMPLITUDE,
+    PERIOD,
+    Question,
+    check_constraints,
+    question_in,
+    question_of,
+    values_of,
+)
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import checked, read_toml
 from activefail.errors import InputError, naming
@@ -100,6 +108,7 @@ class Inquiry:
         meanwhile = _middles(campaign.space, waiting)
         question = hazard_question(hazard, campaign.space, {**meanwhile, **fixed})
         known = {name: value for name, value in question.fixed.items() if name not in meanwhile}
+        check_constraints(campaign.space, known, question.space.names)
         return cls(campaign, replace(question, fixed=known), hazard)
 
     @property

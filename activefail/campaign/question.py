@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from activefail.campaign.settings import read_toml
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
 from activefail.shares import percent
-from activefail.space import Array, DesignSpace, radius
+from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
 
@@ -114,10 +114,15 @@ class Question:
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
         notes = () if isinstance(space, WeightedRows) else _left_out(space.correlation, values)
-        for name in values:
+        for name, value in values.items():
             if name in space.names:
-                space = space.without(name)
+                space = space.holding(name, value)
         return replace(self, space=space, fixed=fixed, is_own=False, assumptions=(*self.assumptions, *notes))
+
+    @property
+    def has_designs(self) -> bool:
+        """Whether enough designs of the uncertain variables meet the constraints."""
+        return isinstance(self.space, WeightedRows) or self.space.feasible_share >= LEAST_FEASIBLE
 
     def drawn(self, draw: int) -> "Question":
         """The same question with another independent sample of fresh simulations."""
@@ -315,7 +320,25 @@ def asked_of(
     kept = tuple(pair for pair in correlation if fixed.keys().isdisjoint(pair[:2]))
     parameters = tuple(changed.get(name) or of_campaign[name] for name in uncertain)
     notes = _left_out(correlation, fixed)
-    return Question(title, space.names, DesignSpace(parameters, correlation=kept), dict(fixed), assumptions=notes)
+    check_constraints(space, fixed, uncertain)
+    open_ones = tuple(one for one in space.constraints if not one.names.isdisjoint(uncertain))
+    distribution = DesignSpace(parameters, {**space.fixed, **fixed}, kept, open_ones)
+    return Question(title, space.names, distribution, dict(fixed), assumptions=notes)
+
+
+def check_constraints(space: DesignSpace, fixed: Mapping[str, float], uncertain: Collection[str]) -> None:
+    """Check that a campaign's constraints hold for values of variables, or can be kept for the uncertain ones.
+
+    Raises:
+        InputError: naming the constraint.
+    """
+    values = {**space.fixed, **fixed}
+    for constraint in space.constraints:
+        if AMPLITUDE in constraint.names and PGV in {*uncertain, *fixed}:
+            raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
+        if constraint.names <= values.keys() and not constraint.holds(values):
+            of = ", ".join(f"{name} = {values[name]:g}" for name in sorted(constraint.names & {*fixed}))
+            raise InputError(f"constraints: {constraint.text!r} must hold, got {of}.")
 
 
 def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str, float]) -> tuple[str, ...]:

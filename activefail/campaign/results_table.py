@@ -120,10 +120,15 @@ class ResultTable:
         _require_result(campaign, table)
 
         def check(row: int, design: Array) -> None:
-            for parameter, value in zip(campaign.space.parameters, design.tolist(), strict=True):
-                if not parameter.low <= value <= parameter.high and not reading.keeps_outside:
-                    rule = f"`{parameter.low:g} <= {parameter.name} <= {parameter.high:g}` must hold"
-                    raise table.broken(row, parameter.name, rule, value)
+            space = campaign.space
+            values = dict(zip(space.names, design.tolist(), strict=True))
+            for parameter in () if reading.keeps_outside else space.parameters:
+                if not parameter.contains(values[parameter.name]):
+                    raise table.broken(row, parameter.name, f"{parameter.rule} must hold", values[parameter.name])
+            for constraint in () if reading.keeps_outside else space.constraints:
+                if not constraint.holds({**values, **space.fixed}):
+                    name = next(name for name in space.names if name in constraint.names)
+                    raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", values[name])
             with np.errstate(all="ignore"):
                 if reading.keeps_outside and not np.isfinite(campaign.features(design[None])).all():
                     raise InputError(f"{table.places[row]}: the features of {design.tolist()} must be finite.")

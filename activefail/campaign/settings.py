@@ -36,6 +36,7 @@ from activefail.campaign.sections import (
     by_key,
 )
 from activefail.errors import InputError
+from activefail.expressions import parse_constraint
 from activefail.space import DesignSpace, radius
 from activefail.visible import visible
 
@@ -71,6 +72,8 @@ class CampaignSettings(Section):
         bearing: model of the bearing.
         space: variables and fixed quantities by name; Table 1 by default, required with a custom simulator.
         correlation: pairs of variables with the correlation coefficient of their values.
+        constraints: conditions on variables and fixed quantities that all designs meet, such as "depth + gap <= 1": two
+            expressions with <=, >=, < or > between them. The design measure is conditional on them.
         sampling: numbers of simulations.
         classifier: features, covariance, and what is learned from.
         acquisition: how designs are chosen.
@@ -92,6 +95,7 @@ class CampaignSettings(Section):
     bearing: BearingSettings = BearingSettings()
     space: Annotated[dict[str, AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
     correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] = Field(default_factory=list)
+    constraints: list[str] = Field([], max_length=100)
     sampling: Sampling = Sampling()
     classifier: ClassifierSettings = ClassifierSettings()
     acquisition: AcquisitionSettings = AcquisitionSettings()
@@ -150,6 +154,13 @@ class CampaignSettings(Section):
                 raise ValueError(f"a variable's name must be an identifier, got {name!r}")
         return space
 
+    @field_validator("constraints")
+    @classmethod
+    def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
+        for text in texts:
+            parse_constraint(text, info.data.get("space", {}))
+        return texts
+
     @model_validator(mode="after")
     def _asks_once(self) -> Self:
         # The search weighs designs by `space`, and the rule refers to the same probability.
@@ -202,7 +213,8 @@ class CampaignSettings(Section):
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
         parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())
-        return DesignSpace(parameters, fixed, tuple(self.correlation))
+        constraints = tuple(parse_constraint(text, self.space) for text in self.constraints)
+        return DesignSpace(parameters, fixed, tuple(self.correlation), constraints)
 
     def text(self) -> str:
         """The settings as TOML with all defaults, as frozen in a run folder."""

@@ -271,7 +271,7 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
             return results
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
-        X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
+        X = space.random(plan.test, stream(first, "test"))
         outcome = simulated(set_name("test", plan.test), X).outcome
         neighbours = displaced(X, space, stream(first, "test", 1))
         around = simulated(set_name("around", plan.test), neighbours).outcome.reshape(len(X), -1)

@@ -185,7 +185,7 @@ def compare(
 
     with one_thread():
         stage(f"simulating {test_size} test designs")
-        test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
+        test = campaign.space.random(test_size, stream(seed, "test"))
         test_set = simulated_set(campaign, store, executor, set_name("test", test_size), test)
         assert test_set is not None  # no stop was requested
         X_test, outcome_test = test_set

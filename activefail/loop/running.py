@@ -155,7 +155,7 @@ class _Loop:
         if settings.validation.size == 0:
             return None
         self.observer.stage("simulating the validation set")
-        X = space.from_unit(stream(settings.seed, "validation").random((settings.validation.size, space.dimension)))
+        X = space.random(settings.validation.size, stream(settings.seed, "validation"))
         return simulated_set(self.campaign, self.store, self.executor, VALIDATION, X, self.observer.stop)
 
     def judged(

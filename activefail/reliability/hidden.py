@@ -100,6 +100,9 @@ def hidden_places(
     for _ in range(count):
         Z = rng.standard_normal((_POOL, d))
         Z *= (farthest * rng.random(_POOL) ** (1.0 / d) / np.linalg.norm(Z, axis=1))[:, None]
+        if space.constraints:
+            feasible = Z[space.meets_constraints(space.from_normal(Z))]
+            Z = feasible if len(feasible) else space.to_normal(space.random(_POOL, rng))
         at = seen(Z)
         best = int(np.argmax(cdist(at, neighbours).min(axis=1)))
         places, neighbours = (

@@ -127,7 +127,7 @@ def planned(estimator: Estimator, simulations: int) -> Verification:
     """The plan that verifies a classifier: fresh designs, random within each part."""
     campaign = estimator.campaign
     rng = stream(campaign.settings.seed, "verification", estimator.iteration)
-    pool = campaign.space.from_unit(rng.random((POOL, campaign.space.dimension)))
+    pool = campaign.space.random(POOL, rng)
     moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
     wrong = probability_wrong(moments)
     part = np.searchsorted(EDGES, wrong, side="right")

@@ -14,7 +14,7 @@ from activefail.errors import InputError
 from activefail.expressions import parse_expression
 from activefail.parameter import Parameter
 from activefail.risk.classifier_probability import POINTS
-from activefail.space import Array
+from activefail.space import Array, Constraint
 from activefail.visible import visible
 
 RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
@@ -94,6 +94,7 @@ class DesignTask:
         simulations: most fresh simulations for each requirement.
         rate: how often the question's pulses occur, if the targets were risks in a number of years.
         stepped: by name, the free variables with a step.
+        constraints: of the campaign.
     """
 
     asked: Inquiry
@@ -106,6 +107,12 @@ class DesignTask:
     simulations: int
     rate: Rate | None = None
     stepped: Mapping[str, Parameter] = field(default_factory=dict)
+    constraints: tuple[Constraint, ...] = ()
+
+    def allows(self, values: Mapping[str, float]) -> bool:
+        """Whether values of the free variables meet the constraints that involve nothing uncertain."""
+        known = {**self.question.fixed, **values}
+        return all(bool(one.holds(known)) for one in self.constraints if one.names <= known.keys())
 
     @property
     def question(self) -> Question:
@@ -235,7 +242,8 @@ def design_task(
     for side in (low, high):
         price(side)
     stepped = {name: ranges[name] for name in names if ranges[name].step is not None}
-    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, stepped)
+    limits = stepped, space.constraints
+    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, *limits)
 
 
 def _cost(

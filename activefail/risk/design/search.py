@@ -178,7 +178,11 @@ def _model_of(estimator: Estimator, task: DesignTask) -> Model:
         key = (*values.items(), points)
         if key not in known:
             question = task.question.at(values)
-            known[key] = np.array([classifier_probability(of, question, points) for of in standardised])
+            known[key] = (
+                np.array([classifier_probability(of, question, points) for of in standardised])
+                if task.allows(values) and question.has_designs
+                else np.ones(len(standardised))  # meets no target
+            )
         return known[key]
 
     return model

@@ -83,6 +83,10 @@ def ladder_of(
         raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     levels = (np.geomspace if is_log else np.linspace)(low, high, _STEPS + 1)
+    if space.constraints:
+        levels = levels[[question.at({against: level}).has_designs for level in levels.tolist()]]
+        if len(levels) < 2:
+            raise InputError(f"{_BOUNDS}: must hold designs that meet the constraints, got {low:g},{high:g}.")
     if known_one is not None and known_one.step is not None:
         return Ladder(against, known_one.unit, np.unique(known_one.rounded(levels)), is_log, in_steps=True)
     return Ladder(against, known_one.unit if known_one else "", levels, is_log)

@@ -162,6 +162,11 @@ def _of_question(question: Question, outcome: str) -> Varied:
             "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
             "pulses."
         )
+    if space.constraints:
+        raise InputError(
+            f"question: the constraint {space.constraints[0].text!r} makes the variables dependent, and the variance "
+            "cannot be divided among dependent variables."
+        )
     if correlated := [pair for pair in space.correlation if pair[2] != 0.0]:
         one, other, rho = correlated[0]
         raise InputError(

@@ -1,0 +1,121 @@
+"""Constraints: the design measure is conditional on them, everywhere."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activefail import create_run, open_run
+from activefail.acquisition.population import population
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError
+
+SPACE = """
+simulator = { python = "mine:gap", margins = ["margin"] }
+constraints = ["depth + gap <= 1", "depth * k > 0.02"]
+seed = 2
+
+[space]
+depth = { low = 0.0, high = 1.0 }
+gap = { low = 0.0, high = 1.0 }
+k = { value = 0.2 }
+
+[classifier.features]
+expressions = { d = "depth", room = "log(1.000001 - depth - gap)" }
+
+[sampling]
+initial = 20
+budget = 40
+"""
+FEASIBLE = 0.5 * (1.0 - 0.1**2) - 0.1 * 0.9  # of the unit square: below the diagonal, right of 0.1
+
+CODE = """
+def gap(design):
+    assert design["depth"] + design["gap"] <= 1.0 and design["depth"] > 0.1
+    return 0.75 - design["depth"] - 0.3 * design["gap"] ** 2
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    return Campaign.of(parse_settings(SPACE, "f"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("constraints")
+    (home / "mine.py").write_text(CODE)
+    (home / "gap.toml").write_text(SPACE)
+    with create_run(home / "run", home / "gap.toml", code=home) as run:
+        run.take(workers=1)
+    return home
+
+
+def truth(depth: float | None = None) -> float:
+    """P(margin <= 0) of feasible designs, by a million of them."""
+    x, y = np.random.default_rng(0).random((2, 2_500_000))
+    x = x if depth is None else np.full_like(x, depth)
+    feasible = (x + y <= 1.0) & (x > 0.1)
+    return float((0.75 - x - 0.3 * y**2 <= 0.0)[feasible].mean())
+
+
+def test_every_sample_has_feasible_designs_alone(campaign: Campaign) -> None:
+    space, rng = campaign.space, np.random.default_rng(1)
+    assert space.feasible_share == pytest.approx(FEASIBLE, abs=0.002)
+    for X in (space.sobol(512, rng), space.latin_hypercube(300, rng), space.random(300, rng)):
+        assert space.contains(X).all()
+        assert X[:, 0].mean() == pytest.approx(0.4, abs=0.02)  # of the triangle
+    drawn = population(space, 20_000, None, rng)
+    assert space.contains(drawn.X[drawn.weight > 0.0]).all()
+    assert drawn.weight.mean() == pytest.approx(1.0, abs=0.03)
+    assert (drawn.weight * drawn.X[:, 0]).mean() == pytest.approx(0.4, abs=0.02)
+
+
+def test_simulations_and_probabilities_are_those_of_feasible_designs(folder: Path) -> None:
+    with open_run(folder / "run", write=True, code=folder) as run:
+        assert (run.simulations["outcome"] != "numerical_failure").all()
+        estimate = run.probability().estimate
+        assert estimate.low <= truth() <= estimate.high
+        at = run.probability(fixed={"depth": 0.74}).estimate
+        assert at.low <= truth(0.74) <= at.high
+        # The levels are those at which there are designs.
+        levels = run.fragility(against="depth").as_json()["variable"]["levels"]
+        assert 0.1 < min(levels) < max(levels) < 1.0
+        designed = run.design(0.05, free=["depth"], cost="-depth").designed
+        assert truth(designed.values["depth"]) <= 0.05 < truth(designed.values["depth"] + 0.01)
+        assert run.verify(100).estimate.wrong <= 5
+
+
+def test_designs_that_break_a_constraint_are_refused(folder: Path) -> None:
+    with open_run(folder / "run", write=True, code=folder) as run:
+        with pytest.raises(InputError, match=r"row 1, column depth: the constraint 'depth \+ gap <= 1' must hold"):
+            run.add({"depth": [0.5, 0.9], "gap": [0.4, 0.5], "margin": [0.2, 0.1]})
+        with pytest.raises(InputError, match=r"'depth \* k > 0.02' must hold, got depth = 0\.05"):
+            run.probability(fixed={"depth": 0.05})
+        with pytest.raises(InputError, match="makes the variables dependent"):
+            run.sensitivity()
+
+
+@pytest.mark.parametrize(
+    ("constraint", "rule"),
+    [
+        ("depth + gap", "one of <=, >=, <, > between them"),
+        ("0 < depth < 1", "one of <=, >=, <, > between them"),
+        ("depth <= width", "unknown name 'width'"),
+        ("depth + gap <= 0.0001", "at least 0.1 % of the variables' distribution must meet"),
+        ("depth <= -1", "at least 0.1 % of the variables' distribution must meet"),
+    ],
+)
+def test_a_constraint_that_makes_no_sense_is_refused(constraint: str, rule: str) -> None:
+    with pytest.raises(InputError, match="constraints") as refused:
+        Campaign.of(parse_settings(SPACE.replace("depth + gap <= 1", constraint), "f"))
+    assert rule in str(refused.value)
+
+
+def test_decimal_numbers_are_compared_as_a_person_would(campaign: Campaign) -> None:
+    assert campaign.space.meets_constraints(np.array([[0.7, 0.3], [0.1 + 0.2, 0.7], [0.7, 0.3001]])).tolist() == [
+        True,
+        True,
+        False,
+    ]
