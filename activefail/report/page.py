@@ -57,6 +57,8 @@ _CORRELATION = {"rbf": 61, "matern52": 52}
 def spread(parameter: Parameter) -> str:
     """A variable's distribution in words."""
     name = in_words(parameter.distribution)
+    if parameter.step is not None:
+        name = f"{name}, in steps of {parameter.step:g}"
     if parameter.mean is None:
         return name
     if parameter.sd is None:
@@ -304,6 +306,7 @@ def render(
         "features": features_in_words(settings),
         "learner": _learner(findings),
         "variables": list(zip(quantities.variables(campaign), campaign.space.parameters, strict=True)),
+        "constraints": [one.text for one in campaign.space.constraints],
         "fixed": list(zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)),
         "counts": _counts(findings),
         "lost": where_lost(campaign.space.names, findings.X, ~findings.answered),
