@@ -88,7 +88,7 @@ class CommandSimulator:
     isolated = True
 
     def __post_init__(self) -> None:
-        quantities = (*self.space.names, *self.space.fixed)
+        quantities = designs_by_name(self.space, self.space.low[None])[0]
         for name in quantities:
             if name.lower() in PATHS:
                 raise InputError(f"space.{name}: `{{{name}}}` is reserved in simulator.command; rename the variable.")
@@ -110,7 +110,7 @@ class CommandSimulator:
         Raises:
             InputError: if a template cannot be read, or asks for no quantity or an unknown one.
         """
-        quantities = (*self.space.names, *self.space.fixed)
+        quantities = designs_by_name(self.space, self.space.low[None])[0]
         asked = {}
         for file in self.templates:
             try:

@@ -28,12 +28,17 @@ class Number(float):
         return format(float(self), form) if form else repr(float(self))
 
 
-def check_command(command: str, quantities: Collection[str]) -> None:
+def _number(value: float) -> float:
+    """A number with this format; whole numbers have it already."""
+    return value if isinstance(value, int) else Number(value)
+
+
+def check_command(command: str, quantities: Mapping[str, float]) -> None:
     """Check that a command can be filled in.
 
     Args:
         command: the program and its arguments.
-        quantities: names of the variables and the fixed quantities.
+        quantities: examples of the variables and the fixed quantities by name, integers where they are whole numbers.
 
     Raises:
         InputError: naming the rule and the command.
@@ -46,7 +51,7 @@ def check_command(command: str, quantities: Collection[str]) -> None:
             for _, name, form, _ in string.Formatter().parse(part):
                 if name is not None:
                     _check(name, form or "", (*quantities, "out", "here"))
-            part.format_map(dict.fromkeys(quantities, 1.0) | dict.fromkeys(PATHS, "path"))
+            part.format_map({**quantities, **dict.fromkeys(PATHS, "path")})
     except ValueError as error:
         raise InputError(f"simulator.command: {error}; got {command!r}.") from None
 
@@ -73,7 +78,8 @@ def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Pat
         InputError: if a path contains what an argument may read as code.
     """
     parts = shlex.split(command)
-    values = {name: Number(value) for name, value in design.items()} | {name: str(path) for name, path in paths.items()}
+    values: dict[str, float | str] = {name: _number(value) for name, value in design.items()}
+    values |= {name: str(path) for name, path in paths.items()}
     filled = []
     for place, part in enumerate(parts):
         if _is_shell_script(parts[:place]):
@@ -111,8 +117,8 @@ def _by_environment(script: str) -> str:
     return "".join(filled)
 
 
-def check_file(text: str, quantities: Collection[str]) -> list[str]:
-    """The quantities that an input file asks for.
+def check_file(text: str, quantities: Mapping[str, float]) -> list[str]:
+    """The quantities that an input file asks for, among these with examples of their values.
 
     Raises:
         ValueError: if it asks for none, or one has a wrong name or format; the text completes "<file>: ...".
@@ -121,7 +127,7 @@ def check_file(text: str, quantities: Collection[str]) -> list[str]:
     for name, form in _IN_FILE.findall(text):
         if name in quantities:
             _check(name, form, quantities)
-            format(1.0, form)
+            format(quantities[name], form)
             asked.append(name)
         elif near := get_close_matches(name, quantities, 1, 0.75):
             raise ValueError(f"{{{name}}} is unknown; did you mean {{{near[0]}}}?")
@@ -133,5 +139,5 @@ def check_file(text: str, quantities: Collection[str]) -> list[str]:
 def filled_file(text: str, design: Mapping[str, float]) -> str:
     """An input file with the values of a design; other braces stay."""
     return _IN_FILE.sub(
-        lambda found: format(Number(design[found[1]]), found[2] or "") if found[1] in design else found[0], text
+        lambda found: format(_number(design[found[1]]), found[2] or "") if found[1] in design else found[0], text
     )
