@@ -417,7 +417,7 @@ def test_vertical_components_change_capacities_and_the_notes_say_how_they_are_sc
     assert capacities[0] == pytest.approx(capacities[1], rel=0.5)
     assert any("The vertical ones are scaled by the same factors" in note for note in found[1]["notes"])
     assert any("have no vertical component" in note for note in found[1]["notes"])
-    assert any("which only --vertical uses" in note for note in found[0]["notes"])
+    assert any("are used with --vertical only" in note for note in found[0]["notes"])
 
 
 def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(case: Path) -> None:
