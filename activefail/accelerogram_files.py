@@ -27,6 +27,7 @@ from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError, naming
 from activefail.trust import read_regular
+from activefail.visible import visible
 
 _LARGEST = 200_000_000
 """Most bytes of a file."""
@@ -96,7 +97,7 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt:
         interval = agreed("dt", dt, intervals(header), lambda x: f"{x:g} s", same_interval)
         count = agreed("points", None, points(header), lambda x: f"{x} points", eq)
         values, interval, notes = _samples(data, count, interval)
-        return Accelerogram(UNITS[found] * values, interval, path.stem, notes=notes)
+        return Accelerogram(UNITS[found] * values, interval, visible(path.stem), notes=notes)
 
 
 def doubts(record: Accelerogram) -> list[str]:

@@ -17,6 +17,7 @@ from activefail.bearing.design import GRAVITY
 from activefail.csv_table import Table
 from activefail.errors import InputError, naming
 from activefail.trust import read_regular
+from activefail.visible import visible
 
 P695 = {
     "farfield": "farfield",
@@ -176,7 +177,7 @@ def read_record_set(
     names = [table.cell(row, "file") for row in rows]
     verticals = {table.cell(row, "vertical") for row in rows} - {None}
     records = tuple(
-        SetRecord(motion, event or name) for motion, event, name in zip(motions, events, names, strict=True)
+        SetRecord(motion, visible(event or name)) for motion, event, name in zip(motions, events, names, strict=True)
     )
     unused = 0 if vertical else len(verticals)
     return RecordSet(folder.name, records, events.count(None), left_out, unused=unused, understood=understood)

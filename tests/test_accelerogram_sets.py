@@ -1,5 +1,6 @@
 """Folders of ground-motion records, with and without a table."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -180,6 +181,13 @@ def test_a_folder_from_peer_is_understood_by_its_table_or_by_its_names(tmp_path:
 def test_a_set_of_fema_p695_has_no_vertical_components() -> None:
     with pytest.raises(InputError, match=r"--vertical: .* has only horizontal components of the FEMA P695 records"):
         read_record_set(Path("farfield"), vertical=True)
+
+
+def test_a_name_of_a_file_that_is_no_text_is_shown_with_escapes(tmp_path: Path) -> None:
+    for name in (b"a\xff.txt", b"b.txt"):
+        (tmp_path / os.fsdecode(name)).write_text("0\n1\n-1\n0\n")
+    names = [(record.motion.name, record.event) for record in read_record_set(tmp_path, "g", 0.01).records]
+    assert names == [("a\\udcff", "a\\udcff.txt"), ("b", "b.txt")]
 
 
 def test_a_long_list_of_doubtful_records_is_cut(tmp_path: Path) -> None:
