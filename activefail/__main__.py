@@ -2,10 +2,13 @@
 
 import os
 import signal
+import sys
 
 
 def program() -> None:
     """Load and run the command line; Ctrl-C while it is being loaded ends the process."""
+    if sys.platform == "win32":
+        sys.exit("activefail runs on Linux and macOS; on Windows, run it in WSL.")
     # In the background, a shell has programs ignore Ctrl-C.
     heeds_ctrl_c = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if heeds_ctrl_c:

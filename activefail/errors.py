@@ -11,12 +11,18 @@ from pathlib import Path
 
 from activefail.visible import visible
 
+LONGEST_MESSAGE = 20_000
+"""Most characters of a message: a stranger's key or value in it may be as long as its file."""
+
 
 class ActivefailError(Exception):
     """Base class of activefail's errors; the text is for the user, with a stranger's control characters escaped."""
 
     def __str__(self) -> str:
-        return visible(super().__str__(), keep="\n")
+        text = super().__str__()
+        if len(text) > LONGEST_MESSAGE:
+            text = f"{text[: LONGEST_MESSAGE // 2]} ... {text[-LONGEST_MESSAGE // 2 :]}"
+        return visible(text, keep="\n")
 
 
 class InputError(ActivefailError, ValueError):

@@ -26,7 +26,9 @@ def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Cal
             at_once = True
             raise KeyboardInterrupt
         stop_requested = True
-        print(f"\n{stopping}; Ctrl-C again to stop now", file=sys.stderr)
+        # The signal may arrive while the stream writes, and a stream does not write meanwhile.
+        with suppress(RuntimeError):
+            print(f"\n{stopping}; Ctrl-C again to stop now", file=sys.stderr)
 
     handlers = {number: signal.signal(number, request_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -1,6 +1,7 @@
 """The command line: every command does what its help says, and every mistake ends in one message, not a traceback."""
 
 import ctypes
+import io
 import json
 import os
 import re
@@ -662,9 +663,11 @@ def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_com
 def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> None:
     with started("explore", folder, "--port", "0") as server:
         assert server.stdout is not None
-        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", server.stdout.readline())
+        line = server.stdout.readline()
+        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/\?token=\S+)  \(Ctrl-C to quit\)\n", line)
         assert address is not None
-        with urllib.request.urlopen(address[1], timeout=PATIENCE) as page:
+        browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        with browser.open(address[1], timeout=PATIENCE) as page:
             assert "This design" in page.read().decode()
         server.send_signal(signal.SIGINT)
         _, err = server.communicate(timeout=PATIENCE)
@@ -678,6 +681,19 @@ def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, t
 
 
 # --- signals and pipes -------------------------------------------------------------------------------------------
+
+
+def test_a_signal_that_arrives_while_the_error_stream_writes_stops_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Writing(io.StringIO):
+        def write(self, text: str) -> int:
+            raise RuntimeError("reentrant call")
+
+    monkeypatch.setattr("sys.stderr", Writing())
+    with stop_on_signals() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop()
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 from commandline import activefail
 
 from activefail import bearing, diagnosis
+from activefail.__main__ import program
 
 
 def lines(text: str) -> dict[str, str]:
@@ -63,6 +64,12 @@ def test_the_versions_are_printed_as_json(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(importlib.metadata, "version", without_torch)
     assert json.loads(activefail("doctor", "--json").out)["versions"]["torch"] is None
+
+
+def test_windows_is_sent_to_wsl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "win32")
+    with pytest.raises(SystemExit, match="runs on Linux and macOS; on Windows, run it in WSL"):
+        program()
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

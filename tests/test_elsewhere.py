@@ -1,6 +1,7 @@
 """Simulations done elsewhere, through the Python interface and the commands, wrong inputs included."""
 
 import csv
+import errno
 import io
 import os
 import re
@@ -8,8 +9,9 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -607,6 +609,22 @@ def test_exchanged_designs_that_differ_by_less_than_their_rounding_are_refused(l
         exchanged.loc[order[:2], "load"] = asked.loc[order[:2][::-1], "load"].to_numpy()
         with pytest.raises(InputError, match="as handed out with id"):
             run.is_told(exchanged[["id", "g", "load"]])
+
+
+def test_designs_whose_table_cannot_be_written_are_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def full(path: Path) -> Iterator[io.StringIO]:
+        yield io.StringIO()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("activefail.csv_table.replacing", full)
+    said = activefail("ask", folder, "--n", "2", "--csv", tmp_path / "todo.csv")
+    assert said.code == 2
+    assert "2 designs, ids 10 to 11, are in flight; `activefail ask" in said.err
+    assert "--in-flight --csv FILE` writes them again" in said.err
+    assert "No space left on device" in said.err
 
 
 def test_added_simulations_are_given_and_must_lie_in_the_design_space(folder: Path, tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ from activefail.simulators.user_code import (
 )
 from activefail.space import Array, DesignSpace
 
-_COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
+_COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds", "folder")
 """Columns of activefail's tables besides variables, fixed quantities and margins."""
 
 _COUNTED = ("numerical_failure", "in_flight")

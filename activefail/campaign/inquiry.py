@@ -85,7 +85,9 @@ class Inquiry:
         known = {*asked.question.space.names, *asked.question.fixed}
         waiting = _middles(space, [name for name in free if name not in known])
         checked = asked.question.at(waiting) if waiting else asked.question
-        check_designs_of(checked, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+        check_designs_of(
+            checked, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else "fixed" if fixed else file
+        )
         return asked
 
     @classmethod

@@ -38,6 +38,7 @@ from activefail.campaign.sections import (
 from activefail.errors import InputError
 from activefail.expressions import parse_constraint
 from activefail.space import DesignSpace, radius
+from activefail.trust import read_regular
 from activefail.visible import visible
 
 _STRONG = 0.9
@@ -285,11 +286,30 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         if line.count(".") > _MOST_DOTS:
             raise InputError(f"{source}: line {number}: must have at most {_MOST_DOTS} dots, has {line.count('.')}")
     try:
-        return tomllib.loads(text)
+        values = tomllib.loads(text)
+        _check_texts(values, source)
+        return values
+    except InputError:
+        raise
     except RecursionError:
         raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
     except ValueError as error:  # a TOMLDecodeError, or an integer of thousands of digits
         raise InputError(f"{source}: not valid TOML: {error}") from None
+
+
+def _check_texts(values: object, source: str) -> None:
+    """Check that no text has a NUL, which no name of a file may contain.
+
+    Raises:
+        InputError: naming the source.
+    """
+    if isinstance(values, dict):
+        values = [*values, *values.values()]
+    for value in values if isinstance(values, list) else [values]:
+        if isinstance(value, dict | list):
+            _check_texts(value, source)
+        elif isinstance(value, str) and "\0" in value:
+            raise InputError(f"{source}: a text must not contain the character U+0000, got {value!r}.")
 
 
 _LARGEST_FILE = 10_000_000
@@ -303,16 +323,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: if the file cannot be read, is too large, or is not UTF-8 or TOML.
     """
     try:
-        with path.open("rb") as file:
-            # A device has no end.
-            data = file.read(_LARGEST_FILE + 1)
-        if len(data) > _LARGEST_FILE:
-            raise InputError(f"{path}: cannot be read: it is larger than {_LARGEST_FILE} bytes.")
-        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text = read_regular(path, _LARGEST_FILE, follow=True).decode("utf-8-sig")
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be read: it {error}.") from None
     return parse_toml(text, str(path))
 
 

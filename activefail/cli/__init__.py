@@ -5,6 +5,7 @@ from collections.abc import Callable
 from activefail.cli.analyses import command_of, explore
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program, with_verbosity
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status
+from activefail.cli.check import check
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.simulate import simulate
@@ -23,6 +24,7 @@ from activefail.requests import (
 _EXAMPLES: dict[Callable[..., None], str] = {
     simulate: "--t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2e9 --t-p 2.5 --a-p 0.5",
     campaigns: "--copy mine",
+    check: "campaign.toml",
     run: "paper --out runs/first",
     resume: "runs/first --budget 600",
     status: "runs/first",

@@ -105,14 +105,17 @@ def _parameters(request: type[Request[Any]]) -> Parameters:
 def explore(
     folder: RunFolder,
     host: Annotated[
-        str, typer.Option(help="Address to listen on; visitors from other machines need a token.")
+        str, typer.Option(help="Address to listen on; visitors from other machines always need the token.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
+    no_token: Annotated[
+        bool, typer.Option("--no-token", help="Let every user of this machine read the page without the token.")
+    ] = False,
     code: Code = None,
 ) -> None:
     """Serve an interactive page of a campaign.
 
-    By default only this machine can connect.
+    By default only this machine can connect, and only with the token in the printed address.
     """
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
@@ -124,7 +127,7 @@ def explore(
             findings, failure = opened.findings, opened.failure(show_stage)
             show_warnings(opened.store.new_warnings())
             show_unseen(opened.summary)
-        server = ExplorerServer(host, port, Answers(findings, failure))
+        server = ExplorerServer(host, port, Answers(findings, failure), not no_token)
         print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
         try:
             server.serve_forever()

@@ -23,7 +23,7 @@ from activefail.cli.common import (
 )
 from activefail.errors import InputError
 from activefail.record.layout import check_output
-from activefail.visible import visible
+from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -88,13 +88,21 @@ def ask(
         space = opened.space
         if csv != STANDARD:
             _check_replaceable(csv, opened)
-        with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
-            # The table first: if it cannot be written, no design is handed out.
-            table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
-            if not len(table) and csv != STANDARD:
-                # An earlier table under this name may be the one that somebody works on.
-                raise _NothingError
-            write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
+        table: DataFrame | None = None
+        try:
+            with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
+                # The table first: if it cannot be written, no design is handed out.
+                table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
+                if not len(table) and csv != STANDARD:
+                    # An earlier table under this name may be the one that somebody works on.
+                    raise _NothingError
+                write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
+        except (InputError, OSError):  # a full disk shows only now
+            if table is not None and len(table) and not in_flight:
+                again = f"activefail ask {quoted(folder)} --in-flight --csv FILE"
+                print(f"{_numbers(table)} are in flight; `{again}` writes them again", file=sys.stderr)
+            raise
+        assert table is not None
         show_warnings(opened.store.new_warnings())
         waiting = opened.counts["in_flight"] - (0 if in_flight else len(table))
         if reason := table.attrs.get("reason", ""):

@@ -2,6 +2,7 @@
 
 import logging
 import platform
+import secrets
 from asyncio import CancelledError
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -96,6 +97,7 @@ class DaskExecutor:
         self._waits_for_workers = False
         self._arrivals: _Arrivals = SimpleQueue()
         self._in_flight: dict[str, _Flight] = {}
+        self._key = secrets.token_hex(8)
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -126,7 +128,8 @@ class DaskExecutor:
         return self._collect(self._arrivals, seconds)
 
     def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals", tries: int = 1) -> None:
-        future = self._client.submit(answer_on_worker, simulator, x[None], self._time_limit, self._expected, pure=False)
+        arguments = simulator, x[None], self._time_limit, self._expected, self._key
+        future = self._client.submit(answer_on_worker, *arguments, pure=False)
         self._in_flight[future.key] = _Flight(future, simulator, x, tries)
 
         async def gather() -> None:
@@ -206,8 +209,10 @@ class DaskExecutor:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        # Running simulations continue to their end or time limit; their results are discarded.
         self._client.cancel([flight.future for flight in self._in_flight.values()], force=True)
+        # The workers go on; the processes that they started for these simulations end. A lost scheduler has no workers.
+        with suppress(Exception):
+            self._client.sync(self._client._run, end_processes, self._key, callback_timeout=_CONNECT)
         self._client.close(timeout=_CONNECT)
 
 
@@ -230,12 +235,16 @@ def _check_versions(versions: Versions, expected: _Expected) -> None:
         )
 
 
-_guards = cache(Guards)
-"""A Dask worker's guards, by time limit: a process for each of its threads."""
+_guards: dict[str, Guards] = {}
+"""A Dask worker's guards, by the executor that uses them: a process for each of its threads."""
 
 
 def answer_on_worker(
-    simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Expected] | None
+    simulator: Simulator,
+    X: Array,
+    time_limit: float | None,
+    expected: tuple[Versions, _Expected] | None,
+    executor: str = "",
 ) -> Results:
     """Simulate a design, (1, d), on a Dask worker.
 
@@ -246,4 +255,11 @@ def answer_on_worker(
         _check_versions(*expected)
     if simulator.releases_gil:
         return answer(simulator, X)
-    return _guards(time_limit).answer(simulator, X)
+    return _guards.setdefault(executor, Guards(time_limit)).answer(simulator, X)
+
+
+def end_processes(executor: str) -> None:
+    """End the processes on a Dask worker that simulate for an executor, which is being closed."""
+    if (guards := _guards.pop(executor, None)) is not None:
+        guards.stop()
+        guards.close()

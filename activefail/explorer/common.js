@@ -93,7 +93,7 @@ export function sliders(quantities, values, moved) {
 
 export async function ask(question, data) {
   const start = performance.now();
-  const response = await fetch(`/api/${question}`, {
+  const response = await fetch(`api/${question}`, {
     method: "POST",
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(data),

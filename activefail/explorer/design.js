@@ -1,6 +1,6 @@
 // The page Design of `activefail explore`: sends site, bearing and target to the server and shows its answers.
 
-import { about, ask, find, latest, plain, showDrawing, sliders, withSubscripts } from "/common.js";
+import { about, ask, find, latest, plain, showDrawing, sliders, withSubscripts } from "./common.js";
 
 document.querySelectorAll("[data-subscript]").forEach((place) => place.replaceChildren(withSubscripts(place.textContent)));
 if (!about.missing) begin();

@@ -1,6 +1,6 @@
 // The page of `activefail explore`: sends the design to the server and shows its answers.
 
-import { about, ask, find, latest, share, showDrawing, sliders, withSubscripts } from "/common.js";
+import { about, ask, find, latest, share, showDrawing, sliders, withSubscripts } from "./common.js";
 
 const variables = about.variables;
 const point = about.presets[0].point.slice();

@@ -1,8 +1,8 @@
 """The explorer's server: two pages and the questions that they ask, on the standard library's HTTP server.
 
 It changes nothing and reads only its own files. It answers only requests whose Host header names this machine and whose
-Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. Beyond the loopback
-interface a request also needs the token. At most one verification runs in the background.
+Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. A request also needs
+the token, unless the user does without it on the loopback interface. At most one verification runs in the background.
 
 Each connection has a thread, and their number is bounded.
 """
@@ -10,6 +10,7 @@ Each connection has a thread, and their number is bounded.
 import hmac
 import ipaddress
 import json
+import re
 import secrets
 import socket
 import sys
@@ -54,8 +55,6 @@ _FILES = {
 }
 """The pages' files, with their types."""
 
-_COOKIE = "activefail-token"
-
 
 def is_loopback(host: str) -> bool:
     """Whether an address is a loopback address, which other machines cannot reach."""
@@ -98,7 +97,7 @@ class ExplorerServer(ThreadingHTTPServer):
     """Serves the pages of a campaign and answers their questions.
 
     Attributes:
-        token: required of visitors; empty on the loopback interface.
+        token: required of visitors; empty if none is needed.
         pages: of the campaign, by path.
         questions: that the pages ask with POST, by path.
         verifications: in the background.
@@ -111,9 +110,9 @@ class ExplorerServer(ThreadingHTTPServer):
     # Connections waiting to be accepted; further visitors would wait for a retransmission.
     request_queue_size = 1024
 
-    def __init__(self, host: str, port: int, answers: Answers) -> None:
+    def __init__(self, host: str, port: int, answers: Answers, needs_token: bool = False) -> None:
         self._host = host
-        self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
+        self.token = secrets.token_urlsafe(24) if needs_token or not is_loopback(host) else ""
         design = DesignAnswers(answers)
         self.pages = {
             "/": page("explorer", answers.about(), answers.failure),
@@ -164,6 +163,11 @@ class ExplorerServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     @property
+    def cookie(self) -> str:
+        """The name of the cookie that keeps the token: of this port, because all ports of a host share cookies."""
+        return f"activefail-token-{self.server_address[1]}"
+
+    @property
     def address(self) -> str:
         """The page's URL, including the token if one is required."""
         host = f"[{self._host}]" if ":" in self._host and not self._host.startswith("[") else self._host
@@ -172,11 +176,11 @@ class ExplorerServer(ThreadingHTTPServer):
     def knows(self, host: str) -> bool:
         """Whether a Host header names this server by its address or a name of this machine.
 
-        An attacker can make any other name resolve to this machine.
+        An attacker can make any other name resolve to this machine. The port may be that of a tunnel.
         """
-        name = host.lower().removesuffix(f":{self.server_address[1]}")
+        name = re.sub(r":\d*$", "", host.lower())
         if is_loopback(self._host):
-            return is_loopback(name)
+            return is_loopback(name) or bool(self.token)  # a proxy in front of it has other names
         return _address(name) is not None or name in {"localhost", self._host.lower(), socket.gethostname().lower()}
 
 
@@ -235,7 +239,7 @@ class _Handler(BaseHTTPRequestHandler):
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
         if not self.server.knows(host):
             raise _RefusedError(HTTPStatus.MISDIRECTED_REQUEST, "The Host header does not name this server.")
-        if origin not in (None, f"http://{host}"):
+        if origin not in (None, f"http://{host}", f"https://{host}"):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "Requests from other sites are refused.")
         try:
             self.url = urlsplit(self.path)
@@ -251,7 +255,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _tokens(self) -> list[str]:
         tokens = parse_qs(self.url.query).get("token", []) if self.command in ("GET", "HEAD") else []
         try:
-            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
+            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self.server.cookie)
         except CookieError:
             cookie = None
         return [*tokens, *([cookie.value] if cookie else [])]
@@ -264,8 +268,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Page not found.")
         elif self.server.token and "token" in parse_qs(self.url.query):
             # Move the token to a cookie: addresses are copied and logged.
-            cookie = f"{_COOKIE}={self.server.token}; HttpOnly; SameSite=Strict; Path=/"
-            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": path, "Set-Cookie": cookie})
+            # Relative, for a proxy that serves the pages below another path.
+            cookie = f"{self.server.cookie}={self.server.token}; HttpOnly; SameSite=Strict; Path=/"
+            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": f".{path}", "Set-Cookie": cookie})
         else:
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.pages[path].encode())
 

@@ -20,6 +20,7 @@ from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
 from activefail.record.labels import labels_of
 from activefail.record.store import Store
+from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 
@@ -48,7 +49,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     """The simulations of a record, in its order.
 
     `id`, `iteration`, `origin`, the variables, `outcome`, `cause` ("" if there is none), the margins (NaN where
-    undefined), `seconds`, and the user's own columns of tables of results.
+    undefined), `seconds`, `folder` if a program runs them, and the user's own columns of tables of results.
     """
     import pandas as pd
 
@@ -58,6 +59,8 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     columns |= space.columns(history.designs)
     columns |= _result_columns(campaign, history)
     columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
+    if isinstance(campaign.simulator, CommandSimulator):
+        columns["folder"] = [str(campaign.simulator.folder_of(x)) for x in history.designs.reshape(-1, space.dimension)]
     labels = labels_of(store, history.id)
     return pd.DataFrame(columns | {name: cells for name, cells in labels.items() if name not in columns})
 

@@ -123,7 +123,7 @@ class _Loop:
                 learned = current(campaign, store, write=True, before=learned)
                 looks_now = not ended and len(own) == len(handed.in_flight) and _is_look_due(campaign, handed.history)
                 progress = self.judged(progress, learned, looks_now, validation)
-                rate = (progress.done - done_at_start) / (time.monotonic() - start)
+                rate = (progress.done - done_at_start) / max(time.monotonic() - start, 1e-9)
                 progress = replace(progress, seconds_left=(self.budget - progress.done) / rate if rate else None)
             observer.progress(progress)
             self.check(progress)

@@ -30,8 +30,8 @@ LARGEST_JOURNAL = 16_000_000_000
 _ENTRY = re.compile(rb"activefail [0-9a-f]{64} \d{1,15} \[")
 """Where an entry begins."""
 
-_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
-"""Errors of a file system without flock."""
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, 524)
+"""Errors of a file system without flock; 524 is Linux's own ENOTSUPP, which some cluster file systems return."""
 
 
 class Journal:

@@ -1,6 +1,7 @@
 """Settings: the campaign runs what they state, and every mistake is named with file, key path, rule and value."""
 
 import math
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign
-from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
+from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings, read_toml
 from activefail.errors import InputError
 from activefail.simulators.user_code import digest_without_running
 
@@ -499,3 +500,23 @@ def test_the_bearing_model_refuses_a_variable_that_it_has_not_and_one_that_reach
     table["mu"] = {"low": 0.0, "high": 0.12}
     with pytest.raises(InputError, match=r"space\.mu\.low: must be positive for the dfp simulator, got 0\.0"):
         Campaign.of(parse_settings(tomli_w.dumps({"space": table}), "mine.toml"))
+
+
+@pytest.mark.parametrize("text", ['x = "a\\u0000b"', '[y]\nz = [{ "a\\u0000" = 1 }]'])
+def test_a_text_with_a_nul_is_refused_wherever_it_is(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError, match=r"a\.toml: a text must not contain the character U\+0000"):
+        read_toml(tmp_path / "a.toml")
+
+
+def test_a_pipe_is_no_file_of_settings(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.toml")
+    with pytest.raises(InputError, match=r"a\.toml: cannot be read: it is not a regular file"):
+        read_toml(tmp_path / "a.toml")
+
+
+def test_a_message_about_a_long_key_or_value_is_bounded() -> None:
+    for text in (f"{'a' * 3_000_000} = 1", f'seed = "{"a" * 3_000_000}"', f"space.{'a' * 3_000_000} = {{ low = 1 }}"):
+        with pytest.raises(InputError) as refused:
+            parse_settings(text, "mine.toml")
+        assert len(str(refused.value)) < 30_000

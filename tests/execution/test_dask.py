@@ -363,6 +363,18 @@ def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(s
             assert results.outcome.tolist() == [0, int(least < 1.0), 1]
 
 
+def test_the_processes_that_simulate_on_a_cluster_end_with_the_campaign(shared: Cluster, tmp_path: Path) -> None:
+    space = DesignSpace((Parameter("x", 0.0, 2.0),))
+    (tmp_path / "model.py").write_text("import os\n\ndef run(design):\n    return float(os.getpid())\n")
+    simulator = PythonSimulator(space, "model:run", tmp_path, ("safe", "failure"), ("pid",), levels=(0.0,))
+    with DaskExecutor(shared.address) as other:
+        with DaskExecutor(shared.address) as executor:
+            pid, kept = (int(one.run(simulator, np.array([[1.0]])).margins[0, 0]) for one in (executor, other))
+        until(lambda: not Path(f"/proc/{pid}").exists())
+        assert Path(f"/proc/{kept}").exists()
+    until(lambda: not Path(f"/proc/{kept}").exists())
+
+
 @pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -68,9 +68,9 @@ class Visitor:
 
 
 @contextmanager
-def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer]:
+def served(answers: Answers, host: str = "127.0.0.1", needs_token: bool = False) -> Iterator[ExplorerServer]:
     """A server of these answers on a free port, in a thread of its own."""
-    with ExplorerServer(host, 0, answers) as server:
+    with ExplorerServer(host, 0, answers, needs_token) as server:
         # Who is still being answered would compete for the classifier with the next test.
         server.daemon_threads = False
         thread = threading.Thread(target=server.serve_forever, daemon=True)

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import socket
 import threading
 from contextlib import ExitStack
@@ -60,6 +61,13 @@ def abroad(answers: Answers):
         yield running
 
 
+@pytest.fixture(scope="module")
+def tokened(answers: Answers):
+    """A server on this machine that needs the token."""
+    with served(answers, "127.0.0.1", needs_token=True) as running:
+        yield running
+
+
 def test_the_page_its_files_and_its_questions_are_served(server):
     assert "This design" in request(server).text
     for path, kind in (("/explorer.js", "text/javascript"), ("/explorer.css", "text/css")):
@@ -85,7 +93,7 @@ def test_a_page_may_load_nothing_from_elsewhere_and_be_shown_nowhere_else(server
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1:{port}.evil.example", ""],
+    ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example", "127.0.0.1:{port}.evil.example", ""],
 )
 def test_another_host_s_name_is_not_answered(server, host):
     port = server.server_address[1]
@@ -94,7 +102,10 @@ def test_another_host_s_name_is_not_answered(server, host):
     assert "This design" not in answer.text
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1:{port}", "localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}"])
+@pytest.mark.parametrize(
+    "host",
+    ["127.0.0.1:{port}", "localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}", "localhost:9000", "127.0.0.1:1"],
+)
 def test_this_machine_s_own_names_are_answered(server, host):
     assert request(server, Host=host.format(port=server.server_address[1])).status == 200
 
@@ -179,13 +190,28 @@ def test_beyond_this_machine_a_token_is_needed_for_everything(abroad):
 
 def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad):
     answer = request(abroad, path=f"/?token={abroad.token}")
-    assert (answer.status, answer.headers["Location"]) == (303, "/")
+    assert (answer.status, answer.headers["Location"]) == (303, "./")
     cookie = answer.headers["Set-Cookie"]
     assert "HttpOnly" in cookie
     assert "SameSite=Strict" in cookie
     kept = cookie.split(";")[0]
     assert "This design" in request(abroad, Cookie=kept).text
     assert ask(abroad, "predict", {"point": POINT}, Cookie=kept).status == 200
+
+
+def test_behind_a_proxy_that_adds_a_path_and_another_name_all_addresses_are_relative(tokened):
+    for path in ("/", "/design"):
+        answer = request(tokened, path=f"{path}?token={tokened.token}", Host="hub.example")
+        assert (answer.status, answer.headers["Location"]) == (303, f".{path}")
+        cookie = answer.headers["Set-Cookie"].split(";")[0]
+        text = request(tokened, path=path, Host="hub.example", Cookie=cookie).text
+        assert not re.findall(r"""(?:href|src)="/""", text)
+        origin = {"Origin": "https://hub.example", "Host": "hub.example", "Cookie": cookie}
+        assert ask(tokened, "predict", {"point": POINT}, **origin).status == 200
+    for script in ("common", "explorer", "design"):
+        text = request(tokened, path=f"/{script}.js", Cookie=cookie).text
+        assert not re.findall(r"""(?:fetch\(|from )["'`]/""", text)
+    assert request(tokened, Host="hub.example").status == 403
 
 
 def test_abroad_a_name_that_may_be_anyone_s_is_not_answered_even_with_the_token(abroad):

@@ -489,6 +489,17 @@ def without_flock(*arguments: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
 
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, 524])
+def test_a_file_system_without_locks_is_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refuse(*arguments: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    written(tmp_path / "run", 2, 2)
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as store:
+        assert "has no locks" in store.warnings[0]
+
+
 @pytest.mark.parametrize("write", WRITES)
 def test_without_locks_the_journal_itself_excludes_a_second_writer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: str

@@ -1,0 +1,111 @@
+"""`activefail check`: one design of a campaign, simulated twice, before hours are spent."""
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign
+from activefail.cli.common import CampaignFile
+from activefail.errors import SimulationError
+from activefail.simulators.command import CommandSimulator
+from activefail.simulators.function import PythonSimulator
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
+from activefail.visible import visible
+
+
+def check(campaign: CampaignFile) -> None:
+    """Simulate one design of a campaign twice, and show what activefail understands.
+
+    Shows variables, simulator, outcome, margins and time. The two results must agree: a campaign needs a simulator that
+    gives the same result for the same design. No run folder is created.
+    """
+    from activefail.opening import campaign_for
+
+    folder, keeps = Path(tempfile.mkdtemp(prefix="activefail-check-")), False
+    try:
+        assembled = campaign_for(folder, campaign)
+        keeps = isinstance(assembled.simulator, CommandSimulator)  # a program's files show what it did
+        for title, text in _understood(assembled):
+            print(f"{title:<10} {visible(text)}", flush=True)
+        if not assembled.is_elsewhere:
+            for title, text in _simulated(assembled):
+                print(f"{title:<10} {visible(text)}", flush=True)
+    finally:
+        if not keeps:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _understood(campaign: Campaign) -> Iterator[tuple[str, str]]:
+    """What the campaign file says, as titles and texts."""
+    simulator, space = campaign.simulator, campaign.space
+    for one in space.parameters:
+        yield "variable", f"{one.label}: {one.low:g} to {one.high:g}, {one.distribution.replace('_', ' ')}"
+    for name, value in space.fixed.items():
+        yield "fixed", f"{name} = {value:g}"
+    match simulator:
+        case PythonSimulator():
+            yield "simulator", f"the function {simulator.reference} in {simulator.code}"
+        case CommandSimulator():
+            yield "simulator", f"the program {simulator.command}"
+            for file, names in simulator.filled.items():
+                yield "template", f"{file} is filled in with {', '.join(names)}"
+        case _:
+            bearing = "the double friction pendulum bearing"
+            yield "simulator", "elsewhere; nothing is simulated here" if campaign.is_elsewhere else bearing
+    boundaries = ", ".join(campaign.settings.acquisition.boundaries)
+    yield "outcomes", f"{', '.join(simulator.outcomes)}; sought is the boundary of {boundaries}"
+    if simulator.margins and not isinstance(campaign.settings.simulator, str):
+        for place, outcome in enumerate(simulator.outcomes[1:]):
+            rules = zip(simulator.margins, campaign.levels[place].tolist(), strict=True)
+            yield "margins", f"{', '.join(f'{name} <= {level:g}' for name, level in rules)} at {outcome}"
+
+
+def _simulated(campaign: Campaign) -> Iterator[tuple[str, str]]:
+    """The design in the middle of the space, simulated twice, as titles and texts.
+
+    Raises:
+        SimulationError: if a simulation fails or the two results differ.
+    """
+    from activefail.execution.local import local_executor
+
+    simulator, space = campaign.simulator, campaign.space
+    X = space.from_unit(np.full((1, space.dimension), 0.5))
+    pairs = zip(space.names, X[0].tolist(), strict=True)
+    yield "design", ", ".join(f"{name} = {value!r}" for name, value in pairs)
+    if isinstance(simulator, CommandSimulator):
+        yield "folder", str(simulator.folder_of(X[0]))
+    results = []
+    for _ in range(2):
+        with local_executor(simulator, 1, campaign.time_limit) as executor:
+            results.append(executor.run(simulator, X))
+        for fault in results[-1].faults.values():
+            raise SimulationError(f"The simulation failed: {fault}.")
+    first, second = (_in_words(campaign, one) for one in results)
+    yield from first.items()
+    seconds = max(float(one.seconds[0]) for one in results)
+    budget = campaign.settings.sampling.budget
+    yield (
+        "time",
+        f"{seconds:.3g} s; {budget} simulations, the budget, take {seconds * budget:.3g} s one by one",
+    )
+    if first != second:
+        changed = [name for name in first if first[name] != second[name]]
+        differences = "; ".join(f"{name} {first[name]}, then {second[name]}" for name in changed)
+        raise SimulationError(
+            f"The same design has two results: {differences}. A campaign needs a simulator that gives the same result "
+            "for the same design, for example with a fixed random seed."
+        )
+    yield "agrees", "a second simulation of the design has the same result"
+
+
+def _in_words(campaign: Campaign, results: Results) -> dict[str, str]:
+    """The result of a design, by title."""
+    simulator, code = campaign.simulator, int(results.outcome[0])
+    outcome = "numerical_failure" if code == NUMERICAL_FAILURE else simulator.outcomes[code]
+    cause = cause_name(simulator.causes, int(results.cause[0]))
+    margins = zip(simulator.margins, results.margins[0].tolist(), strict=True)
+    words = {"outcome": f"{outcome} ({cause})" if cause else outcome}
+    return words | {name: "undefined" if np.isnan(value) else repr(value) for name, value in margins}
