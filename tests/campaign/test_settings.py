@@ -177,7 +177,7 @@ BROKEN = [
     ('simulator = { command = "a", pattern = "x", margins = ["g"] }', "simulator.pattern: must have one group"),
     (
         'simulator = { command = "a", pattern = "(x)" }',
-        "pattern: requires one margin, and two outcomes or stated levels",
+        "simulator: pattern: requires one margin, and two outcomes or stated levels",
     ),
     ('simulator = { python = "a:b", copy = "x" }', "simulator.copy: belongs to `command`"),
     ('simulator = { command = "a {out}", time_limit = 0.0 }', "simulator.time_limit: must be greater than 0"),
