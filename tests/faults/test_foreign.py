@@ -32,8 +32,9 @@ from activefail.record.batch import INITIAL, Batch, Schema
 from activefail.record.checkpoint import State, decode, encode
 from activefail.record.layout import run_folder_owning
 from activefail.record.run_folder import FolderStore
-from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
+from activefail.simulators.command import LARGEST_ANSWER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
+from activefail.simulators.placeholders import LONGEST_NUMBER, arguments
 from activefail.space import DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.state import classifier_from_state
@@ -477,8 +478,8 @@ def test_a_format_that_would_fill_the_memory_is_refused_before_it_is_used(receiv
     ],
 )
 def test_a_format_of_ordinary_width_is_used(form: str, tmp_path: Path) -> None:
-    simulator = CommandSimulator(SPACE, f"model {{y:{form}}} {{out}}", tmp_path, tmp_path, ("safe", "failure"), ())
-    assert len(simulator.arguments({"y": 0.5}, tmp_path / "out")[1]) <= 103
+    paths = {"here": tmp_path, "out": tmp_path / "out"}
+    assert len(arguments(f"model {{y:{form}}} {{out}}", {"y": 0.5}, paths)[1]) <= 103
 
 
 def run_program(tmp_path: Path, script: str) -> Results:
@@ -508,7 +509,7 @@ def test_an_answer_that_is_no_small_file_is_no_answer(tmp_path: Path, script: st
 
 def test_of_an_endless_error_stream_the_end_alone_is_read(tmp_path: Path) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(RuntimeError, match=r"exit code 3; .*stderr\.txt ends: '.*the reason'") as raised:
+    with pytest.raises(RuntimeError, match=r"exit code 3; .*stderr\.txt ends with '.*the reason'") as raised:
         run_program(tmp_path, "truncate -s 9G stderr.txt; echo the reason >> stderr.txt; exit 3")
     assert len(str(raised.value)) < 3000
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB
