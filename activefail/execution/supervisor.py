@@ -34,10 +34,10 @@ def main(program: int, connection: int) -> None:
         program: process id of the program.
         connection: descriptor of the worker's end of its connection to the program.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the program decides what follows from Ctrl-C
     # Standard output belongs to the program: it may be a table or JSON.
     with suppress(OSError):
         os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the program decides what follows from Ctrl-C
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
     signals = {signal.SIGCHLD, signal.SIGALRM, signal.SIGTERM}
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)
