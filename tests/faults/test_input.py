@@ -61,7 +61,7 @@ def keys(values: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str, 
 
 def full(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings with the defaults written out."""
-    return CampaignSettings.model_validate(settings).model_dump(mode="json", exclude_none=True)
+    return CampaignSettings.model_validate(settings).model_dump(mode="json", exclude_none=True, by_alias=True)
 
 
 _OWN = {
@@ -83,7 +83,7 @@ GOODS = (
 )
 """Settings of a bearing, of a custom function and of a custom program."""
 
-texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x7f"), max_size=12)
+texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\x7f"), max_size=12)
 scalars = st.one_of(
     st.booleans(),
     st.integers(-(2**63), 2**63 - 1),
