@@ -44,7 +44,7 @@ def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path:
 
 
 def test_a_file_without_an_end_is_refused() -> None:
-    with pytest.raises(InputError, match="/dev/zero: cannot be read: it is larger than 10000000 bytes"):
+    with pytest.raises(InputError, match="/dev/zero: cannot be read: it is not a regular file"):
         read_settings(Path("/dev/zero"))
 
 
@@ -295,7 +295,7 @@ def test_other_names_may_be_the_most_severe_outcome(name: str) -> None:
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
 sampling = st.tuples(st.integers(2, 10**6), st.integers(2, 10**6), st.integers(1, 500)).map(
     lambda t: {"initial": min(t[:2]), "budget": max(t[:2]), "batch": t[2]}
 )
