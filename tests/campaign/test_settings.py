@@ -520,9 +520,3 @@ def test_a_message_about_a_long_key_or_value_is_bounded() -> None:
         with pytest.raises(InputError) as refused:
             parse_settings(text, "mine.toml")
         assert len(str(refused.value)) < 30_000
-
-
-def test_a_text_with_a_nul_is_refused_wherever_it_is() -> None:
-    for line in ('description = "a\\u0000"', '"\\u0000" = 1', 'space = { x = [{ "b" = "\\u0000" }] }'):
-        with pytest.raises(InputError, match=r"f: a text must not contain the character U\+0000"):
-            parse_settings(line, "f")
