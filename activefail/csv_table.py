@@ -1,4 +1,4 @@
-"""Tables: one reader of CSV, whole or in constant memory, and of Python's tables; one writer of CSV."""
+"""Tables: one reader of CSV, whole or in constant memory, and of Python's tables; one writer, safe for spreadsheets."""
 
 import csv
 import math

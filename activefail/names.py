@@ -1,4 +1,4 @@
-"""Names that settings share with the rooms that give them a meaning, so that reading settings loads no engine."""
+"""Names that settings share with the packages that give them a meaning, so that reading settings loads no engine."""
 
 from typing import Literal
 

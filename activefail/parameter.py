@@ -1,4 +1,4 @@
-"""One variable of the design space: its name, range, distribution and unit."""
+"""One variable of the design space: its name, range, distribution and unit, and its values if it has a step."""
 
 from dataclasses import dataclass, field, replace
 from decimal import Decimal

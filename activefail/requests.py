@@ -1,4 +1,4 @@
-"""The analyses of a run folder: what can be asked, with which options, and which room answers."""
+"""The analyses of a run folder: what can be asked, with which options, and which package answers."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext

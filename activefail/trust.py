@@ -1,4 +1,4 @@
-"""What activefail trusts: a run folder, a table or a hazard file may come from someone else.
+"""The rules for what comes from someone else, and where each is enforced; here: sizes and links of files.
 
 - **Code** runs only from a folder that the user names, or named before for the same run folder, and never from the run
   folder itself (`simulators.user_code`, `campaign.known_code`). Nothing is unpickled, and expressions are parsed

@@ -1,4 +1,4 @@
-"""The events of a motion, its three outcomes, and their margins."""
+"""The events at an instant of a motion, the names of the outcomes, and their margins."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,5 @@
-"""Integrates bearings until they fail or their outcome is settled: a single response, or a batch on all cores."""
+"""Integrates bearings until they fail or their outcome is settled, and follows whether a lifted plate comes down inside
+its rims: a single response, or a batch on all cores."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""An executor on an existing Dask cluster: simulations on any number of machines."""
+"""An executor on an existing Dask cluster; simulations whose workers were lost are submitted three times in all."""
 
 import logging
 import platform
@@ -29,7 +29,7 @@ _Expected = tuple[tuple[str, str], ...]
 _CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
 
-TRIES = 3
+_TRIES = 3
 """How often Dask is given a simulation, each time until it has lost as many workers as it allows (3 by default)."""
 
 _LOOK = 0.5
@@ -160,7 +160,7 @@ class DaskExecutor:
         results = []
         for ticket, key, arrived in arrivals:
             flight = self._in_flight.pop(key)
-            if isinstance(arrived, KilledWorker) and flight.tries < TRIES:
+            if isinstance(arrived, KilledWorker) and flight.tries < _TRIES:
                 # Its workers were lost, as when an allocation ends.
                 self._submit(flight.simulator, ticket, flight.x, queue, flight.tries + 1)
             else:
@@ -188,7 +188,7 @@ class DaskExecutor:
         future, simulator, x, _ = flight
         match answer:
             case KilledWorker():
-                fault = f"{design_in_words(simulator, x)}: its workers were lost in each of {TRIES} tries: {answer}"
+                fault = f"{design_in_words(simulator, x)}: its workers were lost in each of {_TRIES} tries: {answer}"
                 return finished(simulator, unanswered(simulator, 1, WORKER_DIED, fault))
             case ActivefailError():
                 raise answer

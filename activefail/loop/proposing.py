@@ -1,4 +1,5 @@
-"""What a campaign simulates after its initial design: what the criterion ranks highest, or the stop rule's check."""
+"""What a campaign simulates after its initial design: what the criterion ranks highest and was never handed out, or the
+stop rule's check."""
 
 from functools import partial
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""A failure probability and its interval from fresh simulations drawn by importance, with the classifier frozen.
+"""A failure probability from fresh simulations drawn by importance, the classifier frozen; its interval, with a floor.
 
 The classifier's own probability is corrected by simulations that it has not seen. They are drawn where it may be wrong
 and where a mistake would weigh most (importance sampling of its mistakes), so that the estimate has no bias, whatever

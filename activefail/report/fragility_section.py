@@ -1,4 +1,4 @@
-"""Values for the section on fragility in a campaign's report (`report.html.j2`). It simulates nothing."""
+"""The report's section on the fragility under a site's hazard, if there is one: its values. It simulates nothing."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

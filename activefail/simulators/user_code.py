@@ -1,4 +1,4 @@
-"""Loads a user's function that a campaign file names, with the digest of its source."""
+"""Loads a user's function that a campaign file names, or refuses to: code in a run folder never runs."""
 
 import importlib
 import importlib.util

@@ -1,4 +1,4 @@
-"""What a boundary is learned from: a margin that the simulator reports, or the outcomes alone.
+"""Which margins may teach a boundary, when the choice is made again, and its result; `training` chooses.
 
 A margin carries more information than its sign, unless the simulation ends at failure or the margin jumps there.
 Evidence decides: the log probability that each model gives to the side of a design that was left out.

@@ -1,4 +1,4 @@
-"""Training of a classifier: the latent of each boundary, from outcomes or from a margin."""
+"""Trains a classifier: each boundary from its outcomes or a margin, chosen by evidence."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -243,7 +243,7 @@ def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(s
 def test_a_design_that_costs_worker_after_worker_is_given_up(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("activefail.execution.dask.TRIES", 1)
+    monkeypatch.setattr("activefail.execution.dask._TRIES", 1)
     with ExitStack() as stack:
         executor = stack.enter_context(DaskExecutor(cluster.address))
         for name in ("three", "four"):

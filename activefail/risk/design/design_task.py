@@ -1,4 +1,5 @@
-"""What a design must meet: targets for probabilities of outcomes, variables that may change, and a cost."""
+"""What a design must meet: targets, free variables, a cost; and the looks of its verification, with their simulations
+and shares of the probability of a false result."""
 
 import math
 import re
