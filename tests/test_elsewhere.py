@@ -574,7 +574,9 @@ def on_scales(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file.with_name("run")
 
 
-@pytest.mark.parametrize("write", [repr, np.float32, "{:.6g}".format, "{:.4e}".format], ids=str)
+@pytest.mark.parametrize(
+    "write", [repr, np.float32, "{:.6g}".format, "{:.4e}".format], ids=["repr", "float32", "6g", "4e"]
+)
 def test_a_design_that_was_rounded_honestly_is_the_same(on_scales: Path, write: Callable[[float], Any]) -> None:
     with af.open_run(on_scales) as run:
         table = run.in_flight.assign(g=1.0)
