@@ -32,7 +32,13 @@ _UNIT = re.compile(
     rf"|\b(?:in|acc[a-z]*)[\s._,-]+({_ACCELERATION})",
     re.IGNORECASE,
 )
-_NO_UNIT_OF_SAMPLES = re.compile(r"peak|max|pga|scale|range|sensiti|trigger|threshold", re.IGNORECASE)
+_NO_UNIT_OF_SAMPLES = re.compile(
+    r"\b(?:peak|max\w*|pga|scal(?:e|ed|ing)|range|sensitiv\w*|trigger\w*|threshold)\b", re.IGNORECASE
+)
+"""Before a unit, says that it is not that of the samples."""
+
+_OF_SAMPLES = re.compile(r"acc|unit|data|value|sample|record", re.IGNORECASE)
+"""Before "in g", says that it is the unit of the samples."""
 _POINTS = re.compile(
     r"(?:\bNPTS?|\bN_?POINTS|\bNDATA|\bn(?:umber|um|o\.?)[ _](?:of[ _])?(?:\w+[ _])?(?:points|data|samples|values))\b"
     rf"{_GAP}(\d+)"
@@ -93,6 +99,11 @@ def unit_named(text: str) -> str:
     return plain if plain in UNITS else text
 
 
+_ANGLE = re.compile(r"\s*(?:deg|°|km)", re.IGNORECASE)
+_OTHER_TIME = re.compile(r"\s*(?:/\s*\d|kHz|MHz|[uµμ]s\b|micro|min\b)", re.IGNORECASE)
+"""After a number, units that are not read."""
+
+
 def check_format(text: str) -> None:
     """Refuse a file of a format that is not read.
 
@@ -115,9 +126,12 @@ def units(header: Lines) -> list[Stated]:
         kind = _KIND.search(text)
         if kind and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS):
             raise InputError(f"line {line}: must state an acceleration, got {text.strip()!r}.")
-        if _NO_UNIT_OF_SAMPLES.search(text):
-            continue
         for match in _UNIT.finditer(text):
+            before = text[: match.start()]
+            if match[1] is None and _NO_UNIT_OF_SAMPLES.search(text[: match.end()]):
+                continue
+            if match[0].lower().startswith("in") and not _OF_SAMPLES.search(before):
+                continue
             said = next(filter(None, match.groups())).strip(" .:")
             unit = unit_named(said)
             if unit in UNITS:
@@ -141,6 +155,10 @@ def intervals(header: Lines) -> list[Stated]:
             for match in pattern.finditer(text):
                 if re.match(r",\d", text[match.end() :]):
                     raise InputError(f"line {line}: DT: must have a decimal point, got {text!r}.")
+                if _ANGLE.match(text, match.end()):
+                    continue  # a distance
+                if _OTHER_TIME.match(text, match.end()):
+                    raise InputError(f"line {line}: must state an interval in s or ms, or a rate in Hz, got {text!r}.")
                 number = value_of(next(filter(None, match.groups())))
                 in_ms = _MILLISECONDS.search(match[0])
                 # No strong motion is sampled less than once a second: such a rate is an interval.

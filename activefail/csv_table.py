@@ -2,6 +2,7 @@
 
 import csv
 import math
+import operator
 import re
 import shutil
 import sys
@@ -60,6 +61,9 @@ class Kept(NamedTuple):
 
 Check = Callable[[Array], str | None]
 """A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
+
+_SCALED = re.compile(r"(.*?)\s*([*/])\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)")
+"""A column with a factor, such as "Load [kN]*1000"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +153,7 @@ class Table:
         """
         columns, factors = list(self.columns), {}
         for name, text in names.items():
-            scaled = None if text in columns else re.fullmatch(r"(.*?)\s*([*/])\s*([\d.]+(?:[eE][+-]?\d+)?)", text)
+            scaled = None if text in columns else _SCALED.fullmatch(text)
             column = scaled[1] if scaled else text
             if column not in self.columns:
                 raise InputError(f"{self.name}column {column!r}: missing; the columns are {','.join(self.columns)}.")
@@ -158,7 +162,10 @@ class Table:
             place = self.columns.index(column)
             columns[place] = name
             if scaled:
-                factors[place] = float(scaled[3]) if scaled[2] == "*" else 1.0 / float(scaled[3])
+                factor = float(scaled[3])
+                if not 0.0 < factor < math.inf:
+                    raise InputError(f"{self.name}column {name!r}: the factor must be positive, got {text!r}.")
+                factors[place] = operator.mul if scaled[2] == "*" else operator.truediv, factor
         word_at, known = columns.index(of) if of in columns else -1, {there: here for here, there in words.items()}
 
         def cell(place: int, value: Any) -> Any:
@@ -167,7 +174,8 @@ class Table:
             if place not in factors or _is_missing(value):
                 return value
             try:
-                return _number_of(value) * factors[place]
+                apply, factor = factors[place]
+                return apply(_number_of(value), factor)
             except (TypeError, ValueError, ArithmeticError):
                 return value
 

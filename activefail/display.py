@@ -224,9 +224,8 @@ def seeking_line(campaign: "Campaign") -> str:
         f"the boundary of {name}" + (f" ({percent(share, 0)})" if share < 1.0 else "") for name, share in shares.items()
     )
     if campaign.space.constraints:
-        targets += (
-            f", of the {percent(campaign.space.feasible_share)} (± 0.2 points) of designs that meet the constraints"
-        )
+        share, error = campaign.space.feasible_share, 2.0 * campaign.space.feasible_error
+        targets += f", of the {percent(share)} (± {percent(error)}) of designs that meet the constraints"
     return f"seeking    {targets} (outcomes from least to most severe: {', '.join(campaign.simulator.outcomes)})"
 
 

@@ -108,7 +108,8 @@ def parse_constraint(text: str, known: Collection[str]) -> Constraint:
     left, right = (parse_expression(side, known) for side in text.split(relations[0]))
     if relations[0].startswith(">"):
         left, right = right, left
-    return Constraint(text, left.names | right.names, left, right, "=" not in relations[0])
+    names = frozenset(name for name in known if parsed_name(name) in left.names | right.names)
+    return Constraint(text, names, left, right, "=" not in relations[0])
 
 
 def _check(node: ast.expr, text: str, known: Collection[str]) -> None:

@@ -165,15 +165,24 @@ class Parameter:
         """Values of any shape, each as the nearest value of the variable; unchanged if it is continuous."""
         if self.step is None:
             return np.asarray(x)
-        place = np.rint((np.asarray(x) - self.low) / self.step)
-        return np.asarray(self.values[np.clip(place, 0, len(self.values) - 1).astype(int)])
+        place = np.clip(np.rint((np.asarray(x) - self.low) / self.step), 0, len(self.values) - 1)
+        return np.asarray(np.where(np.isnan(place), np.nan, self.values[np.nan_to_num(place).astype(int)]))
 
     def contains(self, x: Array | float) -> NDArray[np.bool_]:
         """Which values of any shape the variable can have."""
-        inside = (self.low <= x) & (x <= self.high)
-        if self.step is not None:
-            inside &= np.abs(x - self.rounded(x)) <= _ON_GRID * self.step
-        return np.asarray(inside)
+        inside = (self.low - self._rounding <= x) & (x <= self.high + self._rounding)
+        return np.asarray(inside & self.on_grid(x))
+
+    @property
+    def _rounding(self) -> float:
+        return 0.0 if self.step is None else _ON_GRID * self.step
+
+    def on_grid(self, x: Array | float) -> NDArray[np.bool_]:
+        """Which values of any shape are whole steps from `low`; all if the variable is continuous."""
+        if self.step is None:
+            return np.ones(np.shape(x), dtype=bool)
+        steps = (np.asarray(x) - self.low) / self.step
+        return np.asarray(np.abs(steps - np.rint(steps)) <= _ON_GRID)
 
     @property
     def rule(self) -> str:

@@ -25,8 +25,11 @@ LEAST_SHARE = 2.0**-53
 LEAST_FEASIBLE = 1e-3
 """Least share of feasible designs: each sample draws until it has enough."""
 
-_POINTS = 2**16
-"""Points that estimate this share."""
+_POINTS, _MORE_POINTS, _SMALL = 2**16, 2**19, 0.05
+"""Points that estimate this share, and if it is small."""
+
+_COUNTED = 2**18
+"""Most designs that are counted one by one."""
 
 _ROUNDING = 1e-12
 """Rounding error of both sides of a constraint, relative to their sizes."""
@@ -216,14 +219,27 @@ class DesignSpace:
 
     @cached_property
     def feasible_share(self) -> float:
-        """The probability of a feasible design before it is conditional, by 2^16 points; the error is below 0.002."""
+        """The probability of a feasible design before it is conditional, by a Sobol' sequence."""
+        return self._feasible_points[0]
+
+    @property
+    def feasible_error(self) -> float:
+        """A bound on the standard error of `feasible_share`: that of independent points."""
+        share, points = self._feasible_points
+        return math.sqrt(share * (1.0 - share) / points)
+
+    @cached_property
+    def _feasible_points(self) -> tuple[float, int]:
         from scipy.stats import qmc
 
         if not self.constraints:
-            return 1.0
+            return 1.0, 1
         _read_direction_numbers()
-        points = qmc.Sobol(self.dimension, rng=np.random.default_rng(0)).random(_POINTS)
-        return float(self.meets_constraints(self.from_unit(points)).mean())
+        sequence, feasible, drawn = qmc.Sobol(self.dimension, rng=np.random.default_rng(0)), 0, 0
+        while drawn < _POINTS or (drawn < _MORE_POINTS and feasible < _SMALL * drawn):
+            feasible += int(self.meets_constraints(self.from_unit(sequence.random(_POINTS))).sum())
+            drawn += _POINTS
+        return feasible / drawn, drawn
 
     def _feasible(self, draw: Callable[[int], Array], n: int) -> Array:
         """n feasible designs from the points of the unit cube that a sampler draws.
@@ -262,15 +278,25 @@ class DesignSpace:
 
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
         """The variables of designs, (n, d), by name, (n,) each; whole numbers are integers."""
+        columns = np.reshape(X, (-1, self.dimension)).T
         return {
-            p.name: x.astype(np.int64) if p.is_whole else x
-            for p, x in zip(self.parameters, np.reshape(X, (-1, self.dimension)).T, strict=True)
+            p.name: np.rint(x).astype(np.int64) if p.is_whole and p.on_grid(x).all() else x
+            for p, x in zip(self.parameters, columns, strict=True)
         }
 
-    @property
+    def rounded(self, X: Array) -> Array:
+        """Designs, (n, d), whose values are those of variables with steps, where they differ by rounding alone."""
+        columns = zip(self.parameters, np.asarray(X).T, strict=True)
+        return np.stack([np.where(p.contains(x), p.rounded(x), x) for p, x in columns], axis=-1)
+
+    @cached_property
     def designs(self) -> float:
-        """Number of designs; infinite if a variable is continuous."""
-        return math.prod(len(parameter.values) or math.inf for parameter in self.parameters)
+        """Number of designs; infinite if a variable is continuous, and without constraints if there are very many."""
+        number = math.prod(len(parameter.values) or math.inf for parameter in self.parameters)
+        if not self.constraints or number > _COUNTED:
+            return number
+        grid = np.meshgrid(*(parameter.values for parameter in self.parameters), indexing="ij")
+        return int(self.meets_constraints(np.stack([values.ravel() for values in grid], axis=1)).sum())
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """A Latin hypercube of n designs, shape (n, d) ([McKayEtAl1979]; scipy.stats.qmc).

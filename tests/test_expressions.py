@@ -133,7 +133,7 @@ def test_expressions_may_stand_without_the_variables() -> None:
 @pytest.mark.parametrize(
     ("expressions", "says"),
     [
-        ({"T_p": "A_p"}, "expressions.T_p: must not have the name of a variable"),
+        ({"T_p": "A_p"}, "expressions.T_p: must not have the name of another quantity"),
         ({"a": "A_q"}, "expressions.a: unknown name 'A_q'; known names are A_p, D, T_p, g, k, pi; in 'A_q'"),
         ({"a": "log(A_p - 1)"}, "a must be finite over the space, got nan for {'A_p'"),
         ({"a": "1 / (D - 0.9)"}, "a must be finite over the space, got inf"),

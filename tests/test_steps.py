@@ -143,3 +143,31 @@ def test_values_between_the_steps_are_refused_by_questions_and_tables(folder: Pa
             run.probability(fixed={"plate": 7.3})
         with pytest.raises(InputError, match=r"storeys: `1 <= storeys <= 5` in steps of 1 must hold"):
             run.add({"load": [20.0], "plate": [8.0], "storeys": [2.5], "margin": [1.0]})
+
+
+def test_a_question_of_a_stepped_variable_keeps_its_own_range_on_the_campaign_s_grid(folder: Path) -> None:
+    with open_run(folder / "run", write=True, code=folder) as run:
+        (folder / "q.toml").write_text(
+            'space.plate = { distribution = "normal", mean = 12.2, sd = 1.0, low = 9.5, high = 14.5 }'
+        )
+        asked = run.asked(folder / "q.toml")
+        (plate,) = [one for one in asked.space.parameters if one.name == "plate"]
+        assert (plate.low, plate.high, plate.step) == (9.5, 14.5, 0.5)
+        assert asked.share_outside(run.space) > 0.4
+
+
+def test_values_are_snapped_where_they_enter_and_compared_by_step(folder: Path) -> None:
+    space = DesignSpace((Parameter("y", 0.1, 0.7, step=0.1), STOREYS))
+    noisy = np.array([[0.1 + 0.2, 0.3 / 0.1]])
+    assert space.rounded(noisy).tolist() == [[0.3, 3.0]]
+    assert space.columns(noisy)["storeys"].tolist() == [3]
+    assert space.columns(np.array([[0.3, 2.5]]))["storeys"].tolist() == [2.5]  # kept from outside the space
+
+
+def test_a_catalogue_under_constraints_has_as_many_designs_as_are_feasible() -> None:
+    text = (
+        'simulator = { python = "a:b" }\nconstraints = ["a + b <= 1"]\n[space]\n'
+        "a = { low = 0, high = 9, step = 1 }\nb = { low = 0, high = 9, step = 1 }\n[sampling]\ninitial = 3\nbudget = 4"
+    )
+    with pytest.raises(InputError, match="must be at most 3, all designs of the space, got 4"):
+        Campaign.of(parse_settings(text, "f"))

@@ -29,8 +29,9 @@ def search(space: DesignSpace, known: Array, first: int, q: int, rng: np.random.
     neighbours = space.standardised(known)
     designs = []
     for number in range(first, first + q):
-        candidates = space.widened(space.sobol(_POOL, rng), WIDENINGS[number % len(WIDENINGS)])
-        candidates = candidates[space.meets_constraints(candidates)]
+        drawn = space.sobol(_POOL, rng)
+        wide = space.widened(drawn, WIDENINGS[number % len(WIDENINGS)])
+        candidates = np.where(space.meets_constraints(wide)[:, None], wide, drawn)
         Z = space.standardised(candidates)
         distances = cdist(Z, neighbours).min(axis=1) if len(neighbours) else np.linalg.norm(Z, axis=1)
         best = int(np.argmax(distances))

@@ -23,6 +23,7 @@ from activefail.errors import InputError, naming
 from activefail.files import path_of
 from activefail.simulators.interface import Simulator
 from activefail.space import DesignSpace
+from activefail.weighted import WeightedRows
 
 _CHECKED = 256
 """Designs of a question on which its values are checked."""
@@ -110,7 +111,7 @@ class Inquiry:
         meanwhile = _middles(campaign.space, waiting)
         question = hazard_question(hazard, campaign.space, {**meanwhile, **fixed})
         known = {name: value for name, value in question.fixed.items() if name not in meanwhile}
-        check_constraints(campaign.space, known, question.space.names)
+        check_constraints(campaign.space, known, question.space.names, isinstance(question.space, WeightedRows))
         return cls(campaign, replace(question, fixed=known), hazard)
 
     @property

@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -326,7 +327,9 @@ def asked_of(
     return Question(title, space.names, distribution, dict(fixed), assumptions=notes)
 
 
-def check_constraints(space: DesignSpace, fixed: Mapping[str, float], uncertain: Collection[str]) -> None:
+def check_constraints(
+    space: DesignSpace, fixed: Mapping[str, float], uncertain: Collection[str], is_table: bool = False
+) -> None:
     """Check that a campaign's constraints hold for values of variables, or can be kept for the uncertain ones.
 
     Raises:
@@ -336,6 +339,8 @@ def check_constraints(space: DesignSpace, fixed: Mapping[str, float], uncertain:
     for constraint in space.constraints:
         if AMPLITUDE in constraint.names and PGV in {*uncertain, *fixed}:
             raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
+        if is_table and not constraint.names.isdisjoint(uncertain):
+            raise InputError(f"constraints: {constraint.text!r} cannot hold for the pulses of a table.")
         if constraint.names <= values.keys() and not constraint.holds(values):
             of = ", ".join(f"{name} = {values[name]:g}" for name in sorted(constraint.names & {*fixed}))
             raise InputError(f"constraints: {constraint.text!r} must hold, got {of}.")
@@ -401,7 +406,9 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     }
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(section.reach, unbounded) if unbounded else np.inf
-    changed = {name: _in_steps(entry.parameter(name, distance), space) for name, entry in entries.items()}
+    changed = {
+        name: _in_steps(entry.parameter(name, distance), space, entry.is_bounded) for name, entry in entries.items()
+    }
     if PGV in section.space and PGV not in space.names:
         median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
         if median > LARGEST_MEDIAN:
@@ -411,7 +418,7 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     return asked_of(section.description or title, space, changed, fixed, section.correlation)
 
 
-def _in_steps(parameter: Parameter, space: DesignSpace) -> Parameter:
+def _in_steps(parameter: Parameter, space: DesignSpace, is_bounded: bool) -> Parameter:
     """A variable of a question with the campaign's step, and with bounds among its values, the next ones outwards.
 
     Raises:
@@ -420,12 +427,18 @@ def _in_steps(parameter: Parameter, space: DesignSpace) -> Parameter:
     own = next((one for one in space.parameters if one.name == parameter.name), None)
     if own is None or (own.step is None and parameter.step is None):
         return parameter
+    if is_bounded and not own.on_grid(np.array([parameter.low, parameter.high])).all():
+        raise InputError(
+            f"space.{parameter.name}: `low` and `high` must be whole steps of {own.step:g} from {own.low:g}, as in the "
+            f"campaign, got {parameter.low:g} and {parameter.high:g}."
+        )
     if own.step is None or parameter.step not in (None, own.step):
         stated = "left out" if own.step is None else f"{own.step:g}"
         raise InputError(f"space.{parameter.name}.step: must be {stated}, as in the campaign, got {parameter.step:g}.")
-    low = own.rounded(max(parameter.low, own.low)).item()
-    high = own.rounded(min(parameter.high, own.high)).item()
-    return replace(parameter, low=low, high=high, step=own.step)
+    first, step = Decimal(repr(own.low)), Decimal(repr(own.step))
+    below = math.floor((Decimal(repr(parameter.low)) - first) / step)
+    above = math.ceil((Decimal(repr(parameter.high)) - first) / step)
+    return replace(parameter, low=float(first + below * step), high=float(first + above * step), step=own.step)
 
 
 def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpace) -> None:
@@ -440,7 +453,10 @@ def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpa
     else:
         with naming("space."):
             check_names({name: entry}, space)
-        unit = space.parameters[space.names.index(name)].unit
+        own = space.parameters[space.names.index(name)]
+        if isinstance(entry, FixedVariable) and not own.on_grid(entry.value):
+            raise InputError(f"space.{name}.value: {own.rule} must hold, got {entry.value:g}.")
+        unit = own.unit
     if entry.unit and entry.unit != unit:
         stated = unit or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

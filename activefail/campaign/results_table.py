@@ -156,7 +156,7 @@ class ResultTable:
                 continue
             rows.append(row)
             ids.append(number)
-            designs.append(design)
+            designs.append(campaign.space.rounded(design[None])[0])
         if faults and not reading.skip_invalid:
             raise refusal(faults)
         return cls(
@@ -190,7 +190,8 @@ class ResultTable:
         texts = []
         if self.skipped:
             more = f" and {len(self.skipped) - _SHOWN} more" if len(self.skipped) > _SHOWN else ""
-            texts.append(f"{len(self.skipped)} rows are skipped: {' '.join(self.skipped[:_SHOWN])}{more}")
+            rows = "1 row is" if len(self.skipped) == 1 else f"{len(self.skipped)} rows are"
+            texts.append(f"{rows} skipped: {' '.join(self.skipped[:_SHOWN])}{more}")
         for name in names:
             # `tell` requires the id, and `add` ignores it.
             missing = [one for one in known if one not in (*names, _ID)]
@@ -240,6 +241,7 @@ class ResultTable:
         faults = {
             row: f"{self.table.places[row]}: {simulated[row].tolist()} must lie in the design space."
             for row in np.flatnonzero(~campaign.space.contains(simulated)).tolist()
+            if int(self.ids[row]) in place  # `tell` reports an unknown id
         }
         if faults and not reading.skip_invalid:
             raise refusal(list(faults.values()))
@@ -267,12 +269,15 @@ class ResultTable:
             distance = _distance(campaign.space, told, designs)[:, given]
             own = distance[place[number]]
             rounded = (np.abs(told - asked) <= _ROUNDED * np.abs(asked))[given] & (own <= _SIMILAR)
-            is_same = rounded | (own <= _SAME)
+            values = zip(campaign.space.parameters, told, asked, strict=True)
+            is_step = np.array([one.step is None or one.rounded(x) == one.rounded(y) for one, x, y in values])[given]
+            is_same = (rounded | (own <= _SAME)) & is_step
             # Two designs that differ by no more than their rounding may have been exchanged.
             is_nearest = own.max() <= distance.max(axis=1).min()
             if not (is_same.all() and is_nearest):
                 worst = np.flatnonzero(given)[int(np.argmax(np.where(is_same, 0.0, 1.0) + own))]
-                rule = f"must be {float(asked[worst])!r}, as handed out with id {number} (use `add` for another design)"
+                way = "`tell --changed` records another design"
+                rule = f"must be {float(asked[worst])!r}, as handed out with id {number} ({way})"
                 faults[row] = str(self.table.broken(row, campaign.space.names[worst], rule, float(told[worst])))
         return faults
 

@@ -158,8 +158,8 @@ class CampaignSettings(Section):
     @field_validator("constraints")
     @classmethod
     def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
-        for text in texts:
-            parse_constraint(text, info.data.get("space", {}))
+        for text in texts if "space" in info.data else ():  # which has its own error otherwise
+            parse_constraint(text, info.data["space"])
         return texts
 
     @model_validator(mode="after")

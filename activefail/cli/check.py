@@ -4,16 +4,15 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from activefail.campaign.assembly import Campaign
 from activefail.cli.common import CampaignFile
 from activefail.errors import SimulationError
-from activefail.simulators.command import CommandSimulator
-from activefail.simulators.function import PythonSimulator
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.campaign.assembly import Campaign
+    from activefail.simulators.interface import Results
 
 
 def check(campaign: CampaignFile) -> None:
@@ -23,6 +22,7 @@ def check(campaign: CampaignFile) -> None:
     gives the same result for the same design. No run folder is created.
     """
     from activefail.opening import campaign_for
+    from activefail.simulators.command import CommandSimulator
 
     folder, keeps = Path(tempfile.mkdtemp(prefix="activefail-check-")), False
     try:
@@ -38,11 +38,20 @@ def check(campaign: CampaignFile) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _understood(campaign: Campaign) -> Iterator[tuple[str, str]]:
+def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
+    from activefail.shares import percent
+    from activefail.simulators.command import CommandSimulator
+    from activefail.simulators.function import PythonSimulator
+
     simulator, space = campaign.simulator, campaign.space
     for one in space.parameters:
-        yield "variable", f"{one.label}: {one.low:g} to {one.high:g}, {one.distribution.replace('_', ' ')}"
+        steps = "" if one.step is None else f" in steps of {one.step:g}"
+        yield "variable", f"{one.label}: {one.low:g} to {one.high:g}{steps}, {one.distribution.replace('_', ' ')}"
+    for constraint in space.constraints:
+        yield "constraint", constraint.text
+    if space.constraints:
+        yield "feasible", f"{percent(space.feasible_share)} of the variables' distribution"
     for name, value in space.fixed.items():
         yield "fixed", f"{name} = {value:g}"
     match simulator:
@@ -63,16 +72,20 @@ def _understood(campaign: Campaign) -> Iterator[tuple[str, str]]:
             yield "margins", f"{', '.join(f'{name} <= {level:g}' for name, level in rules)} at {outcome}"
 
 
-def _simulated(campaign: Campaign) -> Iterator[tuple[str, str]]:
-    """The design in the middle of the space, simulated twice, as titles and texts.
+def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
+    """The design in the middle of the space, or another if that is infeasible, simulated twice, as titles and texts.
 
     Raises:
         SimulationError: if a simulation fails or the two results differ.
     """
+    import numpy as np
+
     from activefail.execution.local import local_executor
+    from activefail.simulators.command import CommandSimulator
 
     simulator, space = campaign.simulator, campaign.space
     X = space.from_unit(np.full((1, space.dimension), 0.5))
+    X = X if space.contains(X).all() else space.random(1, np.random.default_rng(0))
     pairs = zip(space.names, X[0].tolist(), strict=True)
     yield "design", ", ".join(f"{name} = {value!r}" for name, value in pairs)
     if isinstance(simulator, CommandSimulator):
@@ -101,11 +114,13 @@ def _simulated(campaign: Campaign) -> Iterator[tuple[str, str]]:
     yield "agrees", "a second simulation of the design has the same result"
 
 
-def _in_words(campaign: Campaign, results: Results) -> dict[str, str]:
+def _in_words(campaign: "Campaign", results: "Results") -> dict[str, str]:
     """The result of a design, by title."""
+    from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
+
     simulator, code = campaign.simulator, int(results.outcome[0])
     outcome = "numerical_failure" if code == NUMERICAL_FAILURE else simulator.outcomes[code]
     cause = cause_name(simulator.causes, int(results.cause[0]))
     margins = zip(simulator.margins, results.margins[0].tolist(), strict=True)
     words = {"outcome": f"{outcome} ({cause})" if cause else outcome}
-    return words | {name: "undefined" if np.isnan(value) else repr(value) for name, value in margins}
+    return words | {name: "undefined" if value != value else repr(value) for name, value in margins}

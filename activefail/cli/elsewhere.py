@@ -131,7 +131,11 @@ def _check_replaceable(path: Path, run: "Run") -> None:
     except InputError:
         pass
     # What `tell` refuses may be a table of designs alone, or another file, which is replaced like every output.
-    if held := sorted({"outcome", *run.campaign.simulator.margins} & set(likely_header(path))):
+    header, space = set(likely_header(path)), run.campaign.space
+    results = {"outcome", *run.campaign.simulator.margins}
+    if {"id", *space.names} <= header:  # of designs that were handed out: any other column may be a result
+        results = header - {"id", *space.names, *space.fixed, ""}
+    if held := sorted(results & header):
         raise InputError(
             f"--csv: {path} holds results that are not recorded ({', '.join(held)}): `tell` them first, or name "
             "another file."

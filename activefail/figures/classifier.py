@@ -53,7 +53,9 @@ def plot_reliability(
 
 
 LONG = 4.0
-"""Length scale [standard deviations over the space] beyond which a feature hardly matters: longer than its range."""
+"""Length scale [standard deviations over the space] that exceeds a feature's range.
+
+The latent is nearly linear in the feature then, or does not depend on it."""
 
 
 def length_scales(classifier: Classifier) -> Array | None:
@@ -72,7 +74,7 @@ def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: 
     order = np.argsort(scales[-1])
     figure, axes = panel(7.6, 1.3 + 0.3 * len(quantities))
     end = max(2.0 * float(scales.max()), 2.0 * LONG)
-    axes.axvspan(LONG, end, color=LIGHT_GREY, alpha=0.5, label="hardly matters")
+    axes.axvspan(LONG, end, color=LIGHT_GREY, alpha=0.5, label="nearly linear, or none")
     for severity, row in enumerate(scales, start=1):
         axes.plot(
             row[order],

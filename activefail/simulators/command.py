@@ -97,6 +97,8 @@ class CommandSimulator:
         for name in names:
             if names.count(name) > 1 or not name:
                 raise InputError(f"simulator.template, simulator.copy: a run's folder can have only one {name!r}.")
+        if self.pattern is not None and self.output in names[len(_OWN_FILES) :]:
+            raise InputError(f"simulator.output: must be a file that the program writes, got {self.output!r}.")
         if self.here is not None:
             _ = self.filled
             for file in self.copies:

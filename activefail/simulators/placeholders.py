@@ -86,7 +86,7 @@ def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Pat
             part = _by_environment(part)
         elif re.search(r"[\s(]", part):
             for name, path in paths.items():
-                if f"{{{name}}}" in part and re.search(r"""['"`$\\;\n]""", str(path)):
+                if f"{{{name}}}" in part and re.search(r"""['"`$\\;&|<>*?!\n]""", str(path)):
                     raise InputError(
                         f"simulator.command: the path {str(path)!r} contains characters that {part!r} may read as "
                         f"code; use the environment variable {PATHS[name]} there instead of {{{name}}}."
@@ -111,7 +111,7 @@ def _by_environment(script: str) -> str:
         if piece in ("'", '"') and quote in ("", piece):
             quote = "" if quote else piece
         if name := PATHS.get(piece.strip("{}")) if piece.startswith("{") else None:
-            reference = f"${{{{{name}}}}}"
+            reference = f"${{{{{name}:?}}}}"
             piece = {"": f'"{reference}"', '"': reference, "'": f"'\"{reference}\"'"}[quote]
         filled.append(piece)
     return "".join(filled)

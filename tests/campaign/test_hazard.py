@@ -205,7 +205,7 @@ def test_uncertainty_of_any_number_of_rows_is_integrated_where_the_outcome_is_a_
         assert 0.0 < float(pulses.standard_error(fails)) < 0.02
         # Each block stands for all pulses.
         assert [part.mean() for part in np.array_split(fails, 8)] == pytest.approx([true] * 8, abs=0.08)
-        assert pulses.without("T_p").is_sample
+        assert pulses.holding("T_p", 1.0).is_sample
 
 
 @pytest.mark.parametrize("more", ["", UNCERTAIN])

@@ -239,7 +239,7 @@ def test_beyond_this_machine_the_page_needs_the_token_too(answers):
         assert request(abroad, path="/common.js").status == 403
         assert ask(abroad, "verify", REQUEST).status == 403
         answer = request(abroad, path=f"/design?token={abroad.token}")
-        assert (answer.status, answer.headers["Location"]) == (303, "/design")
+        assert (answer.status, answer.headers["Location"]) == (303, "./design")
 
 
 def test_one_verification_runs_at_a_time_and_ends_when_it_is_stopped_or_the_server_ends(answers, monkeypatch):

@@ -212,7 +212,8 @@ def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, t
     assert answer.code == 0, answer.err
     whole = activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "whole")
     assert whole.code == 0, whole.err
-    assert record(run) == record(tmp_path / "whole")
+    first, second = ([row | {"folder": ""} for row in record(of)] for of in (run, tmp_path / "whole"))
+    assert first == second
     rows = table(run.with_suffix(".csv"))
     assert {row["outcome"] for row in rows} == {"safe", "impact"}
     for row in rows:

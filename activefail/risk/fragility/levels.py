@@ -31,6 +31,9 @@ _RANGES = {"pgv": (0.1, 4.0), "a_p": (0.02, 2.0)}
 _STEPS = 40
 """Steps of the ladder of another variable."""
 
+_MOST_LEVELS = 500
+"""Most levels of a variable with a step, which has one for each value."""
+
 RESOLUTION = 0.001
 """Standard error of the integration at a level that is small enough for a curve."""
 
@@ -83,13 +86,18 @@ def ladder_of(
         raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     levels = (np.geomspace if is_log else np.linspace)(low, high, _STEPS + 1)
+    in_steps = known_one is not None and known_one.step is not None
+    if in_steps and known_one is not None:
+        levels = known_one.values[(known_one.values >= low) & (known_one.values <= high)]
+        if not (known_one.contains(low) and known_one.contains(high)) or len(levels) > _MOST_LEVELS:
+            raise InputError(
+                f"{_BOUNDS}: {known_one.rule} must hold, with at most {_MOST_LEVELS} values, got {low:g},{high:g}."
+            )
     if space.constraints:
         levels = levels[[question.at({against: level}).has_designs for level in levels.tolist()]]
-        if len(levels) < 2:
-            raise InputError(f"{_BOUNDS}: must hold designs that meet the constraints, got {low:g},{high:g}.")
-    if known_one is not None and known_one.step is not None:
-        return Ladder(against, known_one.unit, np.unique(known_one.rounded(levels)), is_log, in_steps=True)
-    return Ladder(against, known_one.unit if known_one else "", levels, is_log)
+    if len(levels) < 2:
+        raise InputError(f"{_BOUNDS}: must hold two levels at which designs exist, got {low:g},{high:g}.")
+    return Ladder(against, known_one.unit if known_one else "", levels, is_log, in_steps)
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
