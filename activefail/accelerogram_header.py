@@ -136,7 +136,7 @@ def units(header: Lines) -> list[Stated]:
             unit = unit_named(said)
             if unit in UNITS:
                 found.append(Stated(unit, line, text))
-            elif re.search(r"[/%^²]|^(?:[cm]?m|counts?|in|ft|mg|milli.*)$", said, re.IGNORECASE):
+            elif re.search(r"[/%^²]|^[\d.]|^(?:[cm]?m|counts?|in|ft|mg|milli.*)$", said, re.IGNORECASE):
                 raise InputError(
                     f"line {line}: must state a unit of acceleration, {', '.join(UNITS)}, got {text.strip()!r}."
                 )

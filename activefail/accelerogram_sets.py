@@ -229,7 +229,9 @@ def _records(folder: Path) -> tuple[Table, tuple[str, ...], tuple[str, ...]]:
         return table, tuple(name for name in files if name not in used), ()
     understood: list[str] = []
     rows = _searched(search, files, understood)
-    rows += _named(folder, files, {row[0]: row[2] for row in rows}, understood)
+    vertical = {row[1] for row in rows}
+    others = [name for name in files if name not in vertical]
+    rows += _named(folder, others, {row[0]: row[2] for row in rows}, understood)
     rows = sorted({row[0]: row for row in reversed(rows)}.values())
     places = [str(folder / row[0]) for row in rows]
     return Table("", ("file", "vertical", "event"), rows, places), (), tuple(understood)
