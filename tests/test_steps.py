@@ -1,5 +1,6 @@
 """Variables with a step: whole numbers, plates that are made, catalogues."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -135,6 +136,10 @@ def test_a_campaign_with_steps_simulates_its_values_once_and_knows_the_probabili
         assert probability(run.space, {"plate": 8.0}) <= 0.2 < probability(run.space, {"plate": 7.5})
         against = run.fragility(against="storeys").as_json()["variable"]
         assert against["levels"] == [1.0, 2.0, 3.0, 4.0, 5.0]
+        verified = run.fragility(against="plate", verify=60, fixed={"storeys": 5})
+        corrected = re.findall(r"([\d.]+) after correction.* interval ([\d.]+) to ([\d.]+)", "\n".join(verified.lines))
+        assert corrected
+        assert {float(number) for numbers in corrected for number in numbers} <= set(PLATE.values)
 
 
 def test_values_between_the_steps_are_refused_by_questions_and_tables(folder: Path) -> None:

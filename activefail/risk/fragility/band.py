@@ -149,6 +149,9 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
         return Interval(confidence=confidence, interval_reason="only one level was verified")
     coordinates = curve.ladder.coordinate(np.array([one.level for one in verified]))
     between = np.unique(np.concatenate([np.linspace(coordinates[0], coordinates[-1], _STEPS), coordinates]))
+    if curve.ladder.in_steps:
+        between = curve.ladder.coordinate(curve.ladder.levels)
+        between = between[(between >= coordinates.min()) & (between <= coordinates.max())]
     along = between if curve.rises else between[::-1]
     sign = 1.0 if curve.rises else -1.0
     levels = np.exp(along) if curve.ladder.is_log else along
@@ -158,6 +161,8 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
         corrections = np.interp(sign * along, sign * coordinates, np.array(values) - predicted)
         band: Array = np.clip(curve.at(levels) + corrections, 0.0, 1.0)
         crossing = first_above(along, band, p)
+        if crossing is not None and curve.ladder.in_steps:
+            crossing = float(along[np.argmax(band > p)])
         return None if crossing is None else curve.ladder.level(crossing)
 
     middle = first([one.estimate.probability for one in verified])
