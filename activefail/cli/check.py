@@ -86,8 +86,8 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     simulator, space = campaign.simulator, campaign.space
     X = space.from_unit(np.full((1, space.dimension), 0.5))
     X = X if space.contains(X).all() else space.random(1, np.random.default_rng(0))
-    pairs = zip(space.names, X[0].tolist(), strict=True)
-    yield "design", ", ".join(f"{name} = {value!r}" for name, value in pairs)
+    values = {name: column.item() for name, column in space.columns(X).items()}
+    yield "design", ", ".join(f"{name} = {value!r}" for name, value in values.items())
     if isinstance(simulator, CommandSimulator):
         yield "folder", str(simulator.folder_of(X[0]))
     results = []
