@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from activefail.interrupts import stop_on_signals
 from activefail.screen import terminal
-from activefail.shares import lognormal_interval, percent
+from activefail.shares import feasible_share, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.visible import visible
 
@@ -224,8 +224,7 @@ def seeking_line(campaign: "Campaign") -> str:
         f"the boundary of {name}" + (f" ({percent(share, 0)})" if share < 1.0 else "") for name, share in shares.items()
     )
     if campaign.space.constraints:
-        share, error = campaign.space.feasible_share, 2.0 * campaign.space.feasible_error
-        targets += f", of the {percent(share)} (± {percent(error)}) of designs that meet the constraints"
+        targets += f", of the {feasible_share(campaign.space)} of designs that meet the constraints"
     return f"seeking    {targets} (outcomes from least to most severe: {', '.join(campaign.simulator.outcomes)})"
 
 

@@ -12,7 +12,7 @@ from activefail.arguments import (
     source_of,
     target_of,
 )
-from activefail.campaign.assembly import Campaign, check_designs
+from activefail.campaign.assembly import Campaign, check_enough_designs
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.campaign.inquiry import Inquiry
 from activefail.display import display_with_stop, html_of, shown_executor
@@ -181,7 +181,7 @@ class Run:
         if budget is None:
             return
         check_whole("budget", budget, 2)
-        check_designs(self.space, budget)
+        check_enough_designs(self.space, budget)
         if budget < (done := self.history.asked_for):
             raise InputError(
                 f"budget: must be at least {done}, the number of recorded simulations that count towards it, got "

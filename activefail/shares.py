@@ -2,6 +2,8 @@
 
 import math
 
+from activefail.space import DesignSpace
+
 
 def percent(share: float, digits: int = 1) -> str:
     """A share in per cent, like "97.3 %", with more digits where it would otherwise round to 0 or 100 %.
@@ -46,3 +48,8 @@ def bounds_percent(low: float, high: float) -> str:
 def interval_percent(low: float, high: float, digits: int = 2) -> str:
     """An interval of a share, like "0.3 to 3.3 %"."""
     return f"{percent(low, digits).removesuffix(' %')} to {percent(high, digits)}"
+
+
+def feasible_share(space: DesignSpace) -> str:
+    """The share of designs that meet the constraints, with two standard errors."""
+    return f"{percent(space.feasible_share)} (± {percent(2.0 * space.feasible_error)})"

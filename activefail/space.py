@@ -290,7 +290,7 @@ class DesignSpace:
         return np.stack([np.where(p.contains(x), p.rounded(x), x) for p, x in columns], axis=-1)
 
     @cached_property
-    def designs(self) -> float:
+    def design_count(self) -> float:
         """Number of designs; infinite if a variable is continuous, and without constraints if there are very many."""
         number = math.prod(len(parameter.values) or math.inf for parameter in self.parameters)
         if not self.constraints or number > _COUNTED:
@@ -308,7 +308,7 @@ class DesignSpace:
         X = self._feasible(qmc.LatinHypercube(self.dimension, rng=rng).random, n)
         for _ in range(_ROUNDS):
             again = np.delete(np.arange(n), np.unique(X, axis=0, return_index=True)[1])
-            if self.designs == math.inf or not len(again):
+            if self.design_count == math.inf or not len(again):
                 break
             X[again] = self.random(len(again), rng)
         return X

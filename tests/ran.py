@@ -1,11 +1,13 @@
-"""A campaign on the disc, run once for all tests that only read it."""
+"""Campaigns that are run once for all tests that only read them."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 
+from activefail import create_run
 from activefail.campaign.assembly import Campaign
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.learning import current
@@ -13,6 +15,15 @@ from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
+
+
+def ran_in(home: Path, campaign: str, code: str) -> Path:
+    """A folder with the code of a campaign, module `mine`, and its run folder `run`."""
+    (home / "mine.py").write_text(code)
+    (home / "mine.toml").write_text(campaign)
+    with create_run(home / "run", home / "mine.toml", code=home) as opened:
+        opened.take(workers=1)
+    return home
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ran import ran_in
 
-from activefail import create_run, open_run
+from activefail import open_run
 from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
@@ -44,12 +45,7 @@ def campaign() -> Campaign:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    home = tmp_path_factory.mktemp("constraints")
-    (home / "mine.py").write_text(CODE)
-    (home / "gap.toml").write_text(SPACE)
-    with create_run(home / "run", home / "gap.toml", code=home) as run:
-        run.take(workers=1)
-    return home
+    return ran_in(tmp_path_factory.mktemp("constraints"), SPACE, CODE)
 
 
 def truth(depth: float | None = None) -> float:

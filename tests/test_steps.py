@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ran import ran_in
 from scipy.stats import norm
 
-from activefail import create_run, open_run
+from activefail import open_run
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
@@ -53,10 +54,10 @@ def test_values_are_those_that_a_person_would_write() -> None:
 
 def test_a_latin_hypercube_repeats_no_design_while_others_are_left() -> None:
     space = DesignSpace((STOREYS, Parameter("bays", 1.0, 4.0, step=1.0)))
-    assert space.designs == 20
+    assert space.design_count == 20
     X = space.latin_hypercube(20, np.random.default_rng(1))
     assert len(np.unique(X, axis=0)) == 20
-    assert DesignSpace((STOREYS, LOAD)).designs == np.inf
+    assert DesignSpace((STOREYS, LOAD)).design_count == np.inf
 
 
 @pytest.mark.parametrize(
@@ -114,12 +115,7 @@ def probability(space: DesignSpace, fixed: Mapping[str, float]) -> float:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    home = tmp_path_factory.mktemp("steps")
-    (home / "mine.py").write_text(CODE)
-    (home / "beam.toml").write_text(CAMPAIGN)
-    with create_run(home / "run", home / "beam.toml", code=home) as run:
-        run.take(workers=1)
-    return home
+    return ran_in(tmp_path_factory.mktemp("steps"), CAMPAIGN, CODE)
 
 
 def test_a_campaign_with_steps_simulates_its_values_once_and_knows_the_probability(folder: Path) -> None:
@@ -161,7 +157,7 @@ def test_a_question_of_a_stepped_variable_keeps_its_own_range_on_the_campaign_s_
         assert asked.share_outside(run.space) > 0.4
 
 
-def test_values_are_snapped_where_they_enter_and_compared_by_step(folder: Path) -> None:
+def test_values_are_snapped_to_the_steps_and_shown_as_whole_numbers() -> None:
     space = DesignSpace((Parameter("y", 0.1, 0.7, step=0.1), STOREYS))
     noisy = np.array([[0.1 + 0.2, 0.3 / 0.1]])
     assert space.rounded(noisy).tolist() == [[0.3, 3.0]]

@@ -167,7 +167,7 @@ def propose(
     else:
         X, F = _candidates_by_search(model, scaled, sample, criterion.make, q, seen, failed, certain)
         references, make, block = torch.empty(0, F.shape[1], dtype=torch.float64), criterion.make, None
-    if space.designs < np.inf and len(new := new_rows(X, F, seen, failed)):
+    if space.design_count < np.inf and len(new := new_rows(X, F, seen, failed)):
         X, F = X[new], F[new]
     candidates = torch.from_numpy(F)
     with keeping(model, candidates, references):

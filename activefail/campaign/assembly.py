@@ -47,14 +47,16 @@ def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
     return (*(f"p_{name}" for name in outcomes), "latent_mean", "latent_sd")
 
 
-def check_designs(space: DesignSpace, budget: int) -> None:
+def check_enough_designs(space: DesignSpace, budget: int) -> None:
     """Check that a space has as many designs as a budget.
 
     Raises:
         InputError: if all variables have steps and there are fewer.
     """
-    if budget > space.designs:
-        raise InputError(f"sampling.budget: must be at most {space.designs}, all designs of the space, got {budget}.")
+    if budget > space.design_count:
+        raise InputError(
+            f"sampling.budget: must be at most {space.design_count}, all designs of the space, got {budget}."
+        )
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ class Campaign:
                 raise InputError(
                     f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
                 )
-        check_designs(space, settings.sampling.budget)
+        check_enough_designs(space, settings.sampling.budget)
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model(), check_features)

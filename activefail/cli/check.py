@@ -40,7 +40,7 @@ def check(campaign: CampaignFile) -> None:
 
 def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
-    from activefail.shares import percent
+    from activefail.shares import feasible_share
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.function import PythonSimulator
 
@@ -51,7 +51,7 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     for constraint in space.constraints:
         yield "constraint", constraint.text
     if space.constraints:
-        yield "feasible", f"{percent(space.feasible_share)} of the variables' distribution"
+        yield "feasible", f"{feasible_share(space)} of the variables' distribution"
     for name, value in space.fixed.items():
         yield "fixed", f"{name} = {value:g}"
     match simulator:

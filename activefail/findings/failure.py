@@ -40,8 +40,8 @@ class FailureFindings:
         probability: (k,) the classifier's probability of the target boundary's outcome or a more severe one.
         low, high: (k,) 95 % interval under the classifier; NaN where the boundary was learned from outcomes.
         seen: (k,) simulations beyond the boundary.
-        point: the point of the boundary nearest to the medians; None if all designs are on one side, or the
-            designs have constraints.
+        point: the point of the boundary nearest to the medians; None if all designs are on one side, or a
+            variable has a step or the designs have constraints.
         estimate: from fresh simulations at the last iteration; None if there are none.
         asked: the same under the campaign's question; None if it asks none or there are none.
         bound: upper bound from the initial design alone, without a model, one-sided at 90 %.
@@ -99,7 +99,8 @@ def failure_findings(
         rows.append((n, *_probability(campaign, fitted, outcome), _seen(campaign, history[:n])))
     stage("searching for the most probable failure")
     point = None
-    if not campaign.space.constraints:  # the first-order method knows none
+    if not campaign.space.constraints and all(one.step is None for one in campaign.space.parameters):
+        # The first-order method knows neither constraints nor steps.
         boundary = boundary_of(classifier, campaign.features, outcome)
         point = design_point(boundary, campaign.space, np.random.default_rng(0))
     simulations, probability, low, high, seen = np.array(rows, dtype=np.float64).T

@@ -87,7 +87,7 @@ def propose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int,
         designs = np.concatenate([designs, proposed[~are_among(proposed, known)]])
         if len(designs) == n:
             break
-    if len(designs) < n and campaign.space.designs < np.inf:
+    if len(designs) < n and campaign.space.design_count < np.inf:
         # Few designs are left, which no search may have met.
         known = np.concatenate([history.designs, asked.designs, designs])
         others = np.unique(campaign.space.sobol(_LEFT, rng), axis=0)

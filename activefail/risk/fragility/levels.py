@@ -86,8 +86,8 @@ def ladder_of(
         raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     levels = (np.geomspace if is_log else np.linspace)(low, high, _STEPS + 1)
-    in_steps = known_one is not None and known_one.step is not None
-    if in_steps and known_one is not None:
+    if in_steps := known_one is not None and known_one.step is not None:
+        assert known_one is not None
         levels = known_one.values[(known_one.values >= low) & (known_one.values <= high)]
         if not (known_one.contains(low) and known_one.contains(high)) or len(levels) > _MOST_LEVELS:
             raise InputError(
