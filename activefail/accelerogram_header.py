@@ -1,4 +1,4 @@
-"""What the header of a file of ground motion states: unit, interval between samples, number of points."""
+"""What the header of a record file states, and whether an option contradicts it: unit, interval, number of points."""
 
 import re
 from collections.abc import Callable, Iterable

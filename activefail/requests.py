@@ -10,6 +10,7 @@ from activefail.arguments import executor_named, names_of
 from activefail.csv_table import Target
 from activefail.errors import InputError, naming
 from activefail.files import check_file, path_of, writing_to
+from activefail.names import INTENSITIES
 from activefail.progress import Stage, silent
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.request import REQUIRED, Option, Request, declared, function_of, option
@@ -361,8 +362,8 @@ class IdaRequest(Request["IdaFindings"]):
     )
     scale_to: "Intensity | str" = option(
         "pgv",
-        "Intensity of the levels: factor, pga [g], pgv [m/s], sa:T [g] at a period [s], or p695, one factor for all "
-        "records, by their S_T(T_b) [g].",
+        f"Intensity of the levels: {', '.join(f'{kind} {of.unit}'.strip() for kind, of in INTENSITIES.items())}; sa:T "
+        "has a period [s]; p695 is one factor for all records, by their S_T(T_b).",
     )
     outcome: str | None = option(
         None,
@@ -370,7 +371,10 @@ class IdaRequest(Request["IdaFindings"]):
         str,
     )
     to: float | None = option(
-        None, "Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa), 12 S_NRT (p695).", float
+        None,
+        f"Highest level. Default: {', '.join(f'{of.highest:g} ({kind})' for kind, of in INTENSITIES.items())}, "
+        "p695 over S_NRT.",
+        float,
     )
     margin: "MarginRequest | None" = declared(MARGIN)
     pulses: bool = option(False, "Compare each record with the pulse nearest to it.", names=("--pulses",))

@@ -271,8 +271,9 @@ class Run:
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
-        from activefail.findings.ending import how_stop_rule_was_met, too_small_for_rule
+        from activefail.findings.ending import too_small_for_rule
         from activefail.loop.running import run
+        from activefail.loop.stop_rule import noted
 
         self.check_budget(budget)
         self.campaign.check_simulates()
@@ -298,7 +299,7 @@ class Run:
                 resume_command=self.resume_command(None, None, ignore_stop, executor_options, changes_code=True),
             )
         reached = standing(self.campaign, self.history, target)
-        stop_rule = how_stop_rule_was_met(self.settings, reached.done) if finished and reached.done < target else ""
+        stop_rule = noted(self.store) if finished and not ignore_stop else ""
         if finished and not stop_rule and self.settings.probability_rule is not None:
             looks = self.learn().looks
             stop_rule = too_small_for_rule(self.settings, looks.probability) if len(looks.table) else ""

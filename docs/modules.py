@@ -1,6 +1,6 @@
-"""Writes docs/reference/modules.md, the list of all modules and templates, from the first lines of their docstrings.
+"""Writes docs/reference/modules.md, the list of modules, templates and scripts, from the first lines of each.
 
-A template's first line is a comment in place of a docstring.
+The first line of a template or script is a comment in place of a docstring.
 
 python docs/modules.py
 """
@@ -15,16 +15,16 @@ PAGE = ROOT / "docs" / "reference" / "modules.md"
 
 HEAD = """# Modules
 
-What each module and each template is for, in its own words. `python docs/modules.py` writes this page. The map in
+What each module, template and script is for, in its own words. `python docs/modules.py` writes this page. The map in
 [CONTRIBUTING.md](../../CONTRIBUTING.md) shows the packages and which of them may import which.
 """
 
 
 def summary(file: Path) -> str:
-    """The first sentence or two of a module or template: the first paragraph of its docstring, on one line."""
+    """The first sentence or two of a module, template or script: the first paragraph of its docstring, on one line."""
     text = file.read_text(encoding="utf-8")
-    if file.suffix == ".j2":
-        comment = re.match(r"\{#-? (.*?) -?#\}", text)
+    if file.suffix != ".py":
+        comment = re.match(r"(?:\{#-?|//) (.*?)(?: -?#\}|\n)", text)
         return comment[1] if comment else ""
     return " ".join((ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].split())
 
@@ -32,7 +32,9 @@ def summary(file: Path) -> str:
 def package(folder: Path) -> str:
     """A package's section: its summary, and one line for each of its modules."""
     name = folder.relative_to(ROOT).as_posix()
-    files = sorted(file for file in folder.iterdir() if file.suffix in (".py", ".j2") and file.name != "__init__.py")
+    files = sorted(
+        file for file in folder.iterdir() if file.suffix in (".py", ".j2", ".js") and file.name != "__init__.py"
+    )
     lines = [f"- `{file.name}`: {summary(file)}" for file in files]
     return "\n".join([f"\n## {name}/", "", summary(folder / "__init__.py"), "", *lines]) + "\n"
 

@@ -428,11 +428,22 @@ def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_
     folder = tmp_path / "run"
     assert "stop rule  met after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
     assert activefail("status", folder).out.splitlines()[-2:] == [
-        f"continue   activefail resume {folder}",
-        f"           activefail resume {folder} --ignore-stop, if the stop rule ended the campaign",
+        "stop rule  met",
+        f"continue   activefail resume {folder} --ignore-stop",
     ]
     activefail("resume", folder, "--ignore-stop", "--budget", "25")
     assert activefail("status", folder).out.splitlines()[-1] == f"continue   activefail resume {folder}"
+
+
+def test_a_stop_rule_is_not_met_because_others_simulate_the_rest_of_the_budget(tmp_path: Path) -> None:
+    (tmp_path / "hard.toml").write_text(f"stop = {{ error = 0.001, simulations = 50 }}\n{TINY}")
+    folder = tmp_path / "run"
+    activefail("create", tmp_path / "hard.toml", "--out", folder)
+    assert activefail("ask", folder, "--n", "5", "--csv", tmp_path / "todo.csv").code == 0
+    said = activefail("resume", folder)
+    assert said.code == 0
+    assert "in flight  5" in said.out
+    assert "stop rule" not in said.out + activefail("status", folder).out
 
 
 def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: Path, tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from activefail.simulators.elsewhere import ElsewhereSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import Simulator
 from activefail.simulators.user_code import (
+    COMMAND_KEY,
     CRITERION_KEY,
     FEATURES_KEY,
     KERNEL_KEY,
@@ -65,7 +66,7 @@ class Campaign:
 
     Attributes:
         question: the distribution under which probabilities are asked for.
-        sources: digests of the source files of custom functions, by settings key.
+        sources: digests of the source files of custom functions, or of a program's files, by settings key.
         code: folder of the user's code; None if it must not be run.
         learner: custom code of the classifier and the acquisition, by settings key.
     """
@@ -168,14 +169,16 @@ class Campaign:
 
     @property
     def decisive(self) -> tuple[str, ...]:
-        """The entries of the provenance that decide the result of a simulation; none for a program or elsewhere.
+        """The entries of the provenance that decide the result of a simulation; none for one elsewhere.
 
         Features and libraries do not: they change proposals, or the last bits of a result.
         """
         match self.settings.simulator:
             case sections.PythonSimulatorSettings():
                 return (SIMULATOR_KEY,)
-            case sections.CommandSimulatorSettings() | sections.ElsewhereSettings():
+            case sections.CommandSimulatorSettings():
+                return (COMMAND_KEY,)
+            case sections.ElsewhereSettings():
                 return ()
             case _:
                 return (BEARING_SOURCES,)
@@ -240,7 +243,7 @@ class Campaign:
 def _simulator(
     settings: CampaignSettings, space: DesignSpace, code: Path | None, run: Path | None
 ) -> tuple[Simulator, dict[str, str]]:
-    """The simulator in the settings, and the digest of its source if it is a Python function."""
+    """The simulator in the settings, and the digest of its source, or of its program's files."""
     spec = settings.simulator
     if isinstance(spec, str):
         return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
@@ -264,9 +267,10 @@ def _simulator(
             lost |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
             lost |= {"templates": tuple(spec.template), "copies": tuple(spec.copied)}
             lost |= {"pattern": spec.pattern, "output": spec.output, "cores": spec.cores}
-            return CommandSimulator(
+            program = CommandSimulator(
                 space, spec.command, code, folder, *returns, levels=spec.levels_of_number, **lost
-            ), {}
+            )
+            return program, {} if code is None else {COMMAND_KEY: program.digest()}
         case _:
             return ElsewhereSimulator(*returns, **lost), {}
 

@@ -8,8 +8,9 @@ uses it again while everything that the user agreed to is the same:
   someone else made, unpacked at the same path or over this one, has another file, even with the same text;
 - the path of the code's folder, and the sources in it that the campaign imports.
 
-A program has no digest; the text of `campaign.toml` contains its command. What cannot be checked before it runs is not
-noted: a module outside the folder of the code, and a folder of code in the run folder itself, which comes with it.
+Of a program, the command in `campaign.toml` counts; the record warns if its files have changed. What cannot be checked
+before it runs is not noted: a module outside the folder of the code, and a folder of code in the run folder itself,
+which comes with it.
 
 Nothing here fails a command. A note that cannot be read or written does not exist: the user is asked.
 """
@@ -108,7 +109,8 @@ def remember_code(run: Path, campaign: "Campaign") -> None:
     with suppress(*_FAILURES):
         path = _note_of(run)
         digests = {key: digest_without_running(reference, code) for key, reference in references.items()}
-        if lies_in(code, run) or digests != campaign.sources or "" in digests.values():
+        is_same = all(campaign.sources[key] == digest != "" for key, digest in digests.items())
+        if lies_in(code, run) or not is_same:
             path.unlink(missing_ok=True)
             return
         note = {

@@ -120,17 +120,11 @@ class ResultTable:
         _require_result(campaign, table)
 
         def check(row: int, design: Array) -> None:
-            space = campaign.space
-            values = dict(zip(space.names, design.tolist(), strict=True))
-            for parameter in () if reading.keeps_outside else space.parameters:
-                if not parameter.contains(values[parameter.name]):
-                    raise table.broken(row, parameter.name, f"{parameter.rule} must hold", values[parameter.name])
-            for constraint in () if reading.keeps_outside else space.constraints:
-                if not constraint.holds({**values, **space.fixed}):
-                    name = next(name for name in space.names if name in constraint.names)
-                    raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", values[name])
+            if not reading.keeps_outside:
+                _check_inside(campaign.space, table, row, design)
+                return
             with np.errstate(all="ignore"):
-                if reading.keeps_outside and not np.isfinite(campaign.features(design[None])).all():
+                if not np.isfinite(campaign.features(design[None])).all():
                     raise InputError(f"{table.places[row]}: the features of {design.tolist()} must be finite.")
 
         added = cls._of_rows(campaign, table, reading, lambda _: 0, check)
@@ -238,11 +232,12 @@ class ResultTable:
         place = {number: k for k, number in enumerate(ids.tolist())}
         asked = np.array([designs[place[number]] if number in place else design for number, design in self._named()])
         simulated = np.where(np.isnan(self.designs), asked.reshape(self.designs.shape), self.designs)
-        faults = {
-            row: f"{self.table.places[row]}: {simulated[row].tolist()} must lie in the design space."
-            for row in np.flatnonzero(~campaign.space.contains(simulated)).tolist()
-            if int(self.ids[row]) in place  # `tell` reports an unknown id
-        }
+        faults = {}
+        for row in [row for row, number in enumerate(self.ids.tolist()) if number in place]:  # `tell` reports others
+            try:
+                _check_inside(campaign.space, self.table, row, simulated[row])
+            except InputError as error:
+                faults[row] = str(error)
         if faults and not reading.skip_invalid:
             raise refusal(list(faults.values()))
         return replace(self, designs=simulated).without(faults)
@@ -321,8 +316,9 @@ def _require(table: Table, names: Sequence[str]) -> None:
     except InputError as error:
         missing = next(name for name in names if name not in table.columns)
         close = [column for column in table.columns if _may_be(missing, column)]
-        hint = f" It may be {close[0]!r}{_way(missing, close[0])}." if close else ""
-        raise InputError(f"{error}{hint}") from None
+        other = f'Another name: --map "{missing}=NAME".'
+        named = f"It may be {close[0]!r}{_way(missing, close[0])}." if close else other
+        raise InputError(f"{error} {named}") from None
 
 
 def _require_result(campaign: Campaign, table: Table) -> None:
@@ -370,6 +366,22 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
         if name in table.columns and abs(table.finite(row, name) - value) > _ROUNDED * abs(value):
             raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return design
+
+
+def _check_inside(space: DesignSpace, table: Table, row: int, design: Array) -> None:
+    """Check that the design of a row, (d,), lies in the design space.
+
+    Raises:
+        InputError: naming the first variable that does not, or whose constraint does not hold.
+    """
+    values = dict(zip(space.names, design.tolist(), strict=True))
+    for parameter in space.parameters:
+        if not parameter.contains(values[parameter.name]):
+            raise table.broken(row, parameter.name, f"{parameter.rule} must hold", values[parameter.name])
+    for constraint in space.constraints:
+        if not constraint.holds({**values, **space.fixed}):
+            name = next(name for name in space.names if name in constraint.names)
+            raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", values[name])
 
 
 def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:

@@ -1,4 +1,4 @@
-"""Sections of a campaign's settings, each with its rules and what its keys mean."""
+"""Sections of a campaign's settings, such as `[stop]`: their keys, what these mean, and which exclude each other."""
 
 import itertools
 import re
@@ -455,7 +455,7 @@ class ExpressionFeaturesSettings(Section):
     variables: bool = True
 
 
-class Stop(Section):
+class ErrorStop(Section):
     """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
 
     Every `every` batches, verification takes `simulations` fresh designs outside the budget, once the classifier itself
@@ -493,7 +493,7 @@ KINDS: dict[str, dict[str, type[Section]]] = {
         "elsewhere": ElsewhereSettings,
     },
     "features": {"python": PythonFeaturesSettings, "expressions": ExpressionFeaturesSettings},
-    "stop": {"error": Stop, "probability": ProbabilityStop},
+    "stop": {"error": ErrorStop, "probability": ProbabilityStop},
     "kernel": {"python": PythonSettings},
     "criterion": {"python": PythonSettings},
 }
@@ -519,6 +519,13 @@ def by_key(sections: Mapping[str, type[Section]], has_names: bool = True) -> Dis
 
     keys = " or ".join(f"{WITH}`{key}`" for key in sections)
     return Discriminator(kind, "no_such_table", f"must be {'a name, ' if has_names else ''}{keys}")
+
+
+StopRule = Annotated[
+    Annotated[ErrorStop, Tag(f"{WITH}error")] | Annotated[ProbabilityStop, Tag(f"{WITH}probability")],
+    by_key(KINDS["stop"], has_names=False),
+]
+"""A stop rule; `activefail.loop.stop_rule` says whether it is met."""
 
 
 class ClassifierSettings(Section):

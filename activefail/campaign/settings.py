@@ -21,6 +21,7 @@ from activefail.campaign.sections import (
     ClassifierSettings,
     CommandSimulatorSettings,
     ElsewhereSettings,
+    ErrorStop,
     FixedVariable,
     Limits,
     ProbabilityStop,
@@ -30,7 +31,7 @@ from activefail.campaign.sections import (
     QuestionSettings,
     Sampling,
     Section,
-    Stop,
+    StopRule,
     Validation,
     Variable,
     by_key,
@@ -102,13 +103,7 @@ class CampaignSettings(Section):
     acquisition: AcquisitionSettings = AcquisitionSettings()
     validation: Validation = Validation()
     limits: Limits = Limits()
-    stop: (
-        Annotated[
-            Annotated[Stop, Tag(f"{WITH}error")] | Annotated[ProbabilityStop, Tag(f"{WITH}probability")],
-            by_key(KINDS["stop"], has_names=False),
-        ]
-        | None
-    ) = None
+    stop: StopRule | None = None
     question: QuestionSettings | None = None
 
     @model_validator(mode="before")
@@ -175,7 +170,7 @@ class CampaignSettings(Section):
     def _takes_no_fresh_simulations_elsewhere(self) -> Self:
         if isinstance(self.simulator, ElsewhereSettings):
             rules = {
-                "stop.error": isinstance(self.stop, Stop),
+                "stop.error": isinstance(self.stop, ErrorStop),
                 "validation.size": self.validation.size > 0,
                 "sampling.asynchronous": self.sampling.asynchronous,
             }
@@ -185,9 +180,9 @@ class CampaignSettings(Section):
         return self
 
     @property
-    def error_rule(self) -> Stop | None:
+    def error_rule(self) -> ErrorStop | None:
         """The stop rule, if it verifies the classifier's error."""
-        return self.stop if isinstance(self.stop, Stop) else None
+        return self.stop if isinstance(self.stop, ErrorStop) else None
 
     @property
     def probability_rule(self) -> ProbabilityStop | None:

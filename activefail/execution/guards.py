@@ -1,4 +1,4 @@
-"""Simulations in worker processes: one that fails in a used process, dies or hangs is repeated once in a fresh one."""
+"""Simulations in worker processes: one that fails in a used process or is lost there is repeated in a fresh one."""
 
 import multiprocessing
 import pickle

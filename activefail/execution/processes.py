@@ -1,4 +1,4 @@
-"""Worker processes: each answers calls through a connection, and ends with all that it has started.
+"""Worker processes: each answers calls within a time limit, and ends with all that it has started.
 
 A worker runs the user's code. A call that gets no whole answer has lost its worker, and a child that the user's code
 forks never answers.

@@ -1,4 +1,4 @@
-"""How a campaign ends, in words: on request or by its stop rule, and why the rule cannot be met."""
+"""How a campaign ends on request, and why its stop rule cannot be met, in words."""
 
 from typing import NamedTuple
 
@@ -60,19 +60,3 @@ def too_small_for_rule(settings: CampaignSettings, probability: float) -> str:
         f"{least:.2g}, the least that the rule can know with stop.cov = {rule.cov:g}. `activefail probability` bounds "
         "it"
     )
-
-
-def how_stop_rule_was_met(settings: CampaignSettings, simulations: int) -> str:
-    """How the stop rule ended a campaign after this many simulations; empty without a rule."""
-    if (rule := settings.error_rule) is not None:
-        return (
-            f"met after {simulations} simulations: the error at the {settings.acquisition.main_boundary} boundary is "
-            f"at most {100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
-        )
-    if (goal := settings.probability_rule) is not None:
-        return (
-            f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
-            "and a check far from all other designs did not contradict it. `activefail probability` estimates it with "
-            "an interval"
-        )
-    return ""

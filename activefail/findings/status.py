@@ -12,12 +12,12 @@ from activefail.campaign.settings import read_settings
 from activefail.findings.learned_from import LearnedFrom, saved_choices
 from activefail.findings.summary import Summary, features_in_words, where_lost
 from activefail.loop.history import History
+from activefail.loop.stop_rule import noted
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
 from activefail.verification.confidence_bounds import unseen_outcomes
-from activefail.verification.stored_sets import is_stored, set_name
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"
@@ -36,7 +36,7 @@ class Status:
         warnings: of its record; empty if it is intact.
         state: saved after the last iteration; empty if none was.
         estimates: of probabilities by outcome, from fresh simulations of this record.
-        has_looked: whether the stop rule looked after the last batch, so that it may have ended the campaign.
+        stop_rule: how its stop rule is met; empty if it is not.
     """
 
     folder: Path
@@ -46,7 +46,7 @@ class Status:
     warnings: tuple[str, ...]
     state: Mapping[str, Any]
     estimates: Mapping[str, Mapping[str, Any]]
-    has_looked: bool
+    stop_rule: str
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -71,7 +71,7 @@ class Status:
             "never_seen": list(unseen_outcomes(summary.outcomes, summary.counts)),
             "in_flight": list(summary.in_flight),
             "corrected": summary.corrected,
-            "stop_rule_met": self._rule_is_met,
+            "stop_rule_met": bool(self.stop_rule),
             "estimates": {
                 outcome: {name: one for name, one in numbers.items() if isinstance(one, str | int | float | None)}
                 for outcome, numbers in self.estimates.items()
@@ -101,12 +101,8 @@ class Status:
         """Titles and texts of where runs are lost, of what each boundary is learned from, and of its stop rule."""
         lines = [("lost", self.lost)]
         lines += [("learned", one.sentence(self.summary.settings)) for one in self._choices]
-        lines += [("stop rule", "met" if self._rule_is_met else "")]
+        lines += [("stop rule", "met" if self.stop_rule else "")]
         return [(title, text) for title, text in lines if text]
-
-    @property
-    def _rule_is_met(self) -> bool:
-        return bool(self.state.get("stop/known", 0))
 
     @property
     def estimate(self) -> list[tuple[str, str]]:
@@ -145,7 +141,7 @@ class Status:
         settings, folder, summary = self.summary.settings, quoted(self.folder), self.summary
         lines = self._telling
         if summary.done + len(summary.in_flight) < settings.sampling.budget:
-            ignoring = " --ignore-stop" if self._rule_is_met else ""
+            ignoring = " --ignore-stop" if self.stop_rule else ""
             lines.append(f"activefail ask {folder} --n {settings.sampling.batch} --csv todo.csv{ignoring}")
         return [("continue" if number == 0 else "", line) for number, line in enumerate(lines)]
 
@@ -168,9 +164,7 @@ class Status:
         if known is not None and known.is_changed:
             command += f" --code {quoted(known.folder)}"
             lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
-        if self.has_looked:
-            lines.append(("", f"{command}{ignoring}, if the stop rule ended the campaign"))
-        first = ("continue", command + (ignoring if self._rule_is_met else ""))
+        first = ("continue", command + (ignoring if self.stop_rule else ""))
         return [first, *lines, *(("", text) for text in self._telling)]
 
     @property
@@ -202,8 +196,6 @@ def read_status(folder: Path) -> Status:
         state = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in schema.outcomes[1:]}
         estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
-        rule = settings.error_rule
-        looked = rule is not None and is_stored(store, set_name("look", iteration, rule.simulations))
         return Status(
             folder,
             summary,
@@ -212,5 +204,5 @@ def read_status(folder: Path) -> Status:
             store.new_warnings(),
             state,
             estimates,
-            looked,
+            noted(store),
         )

@@ -7,6 +7,7 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Learned, current
+from activefail.loop.stop_rule import noted
 from activefail.record.asked import NEVER, Asked
 from activefail.record.batch import CHECK, INITIAL
 from activefail.record.store import Store
@@ -76,7 +77,7 @@ def ask(
         ids = ", ".join(map(str, flight.id[flight.origin == CHECK].tolist()))
         return Proposed(none, f"the stop rule waits for the results of its check, ids {ids}")
     learned = current(campaign, store, write=True, before=before)
-    if learned.looks.is_known and not ignore_stop:
+    if noted(store) and not ignore_stop:
         return Proposed(none, "the stop rule is met", learned)
     # Loads torch, which the other commands do without.
     from activefail.loop.proposing import propose

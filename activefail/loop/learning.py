@@ -1,4 +1,4 @@
-"""Train a campaign's classifier from its record, and restore it from saved states."""
+"""Train a campaign's classifier from its record, from several starts, and restore it from saved states."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -12,6 +12,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, looked, looks_from_state, looks_state
 from activefail.loop.saved_learning import margins_of, restore
+from activefail.loop.stop_rule import how_met, note_met
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
 from activefail.simulators.user_code import KERNEL_KEY, LEARNER_KEYS, LIKELIHOOD_KEY, MODEL_KEY
@@ -154,7 +155,7 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
     Args:
         campaign: the campaign.
         store: its record.
-        write: whether to save the retrained states.
+        write: whether to save the retrained states, and that the stop rule is met.
         before: learned earlier from this record, before any correction; takes the place of the last saved state.
     """
     history = History.of(store.batches)
@@ -168,6 +169,8 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
         if write:
             store.write_state(iteration, learned.state)
     assert learned is not None
+    if write:
+        note_met(store, how_met(campaign.settings, history, learned.looks))
     return learned
 
 

@@ -35,7 +35,7 @@ class Progress:
         seconds_left: estimated time to the budget; None before the first batch.
         error: verified error of the classifier; None if not verified.
         unseen: outcomes without a simulation.
-        stop_rule_met: whether the campaign's stop rule is met.
+        stop_rule: how the campaign's stop rule is met; empty if it is not.
         looks: what is known of the stop rule's probability; None without such a rule.
     """
 
@@ -49,7 +49,7 @@ class Progress:
     seconds_left: float | None = None
     error: "ErrorEstimate | None" = None
     unseen: tuple[str, ...] = ()
-    stop_rule_met: bool = False
+    stop_rule: str = ""
     looks: "Looks | None" = None
 
 

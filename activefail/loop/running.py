@@ -20,6 +20,7 @@ from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_size
 from activefail.loop.learning import Learned, accuracy, current, recall
 from activefail.loop.progress import ObservedExecutor, Observer, Progress, standing
+from activefail.loop.stop_rule import how_met, note_met
 from activefail.loop.telling import record
 from activefail.record.asked import Asked
 from activefail.record.batch import CHECK, INITIAL
@@ -108,7 +109,7 @@ class _Loop:
         """Ask, simulate and tell until the budget is spent, or the stop rule or a request ends it."""
         campaign, store, observer, sampling = self.campaign, self.store, self.observer, self.campaign.settings.sampling
         learned: Learned | None = None
-        validation, ended, reason = self.validation_set(), False, ""
+        validation, ended, reason = self.validation_set(), "", ""
         start, done_at_start = time.monotonic(), self.before.asked_for
         while True:
             handed = HandedOut.of(store)
@@ -122,12 +123,12 @@ class _Loop:
                 observer.stage("learning")
                 learned = current(campaign, store, write=True, before=learned)
                 looks_now = not ended and len(own) == len(handed.in_flight) and _is_look_due(campaign, handed.history)
-                progress = self.judged(progress, learned, looks_now, validation)
+                progress = self.judged(progress, handed.history, learned, looks_now, validation)
                 rate = (progress.done - done_at_start) / max(time.monotonic() - start, 1e-9)
                 progress = replace(progress, seconds_left=(self.budget - progress.done) / rate if rate else None)
             observer.progress(progress)
             self.check(progress)
-            ended, stopped = ended or progress.stop_rule_met, observer.stop()
+            ended, stopped = ended or progress.stop_rule, observer.stop()
             while free > 0 and not ended and not stopped:
                 if handed.can_learn(campaign):
                     observer.stage("proposing")
@@ -138,6 +139,7 @@ class _Loop:
                 free = free - len(proposed.designs) if len(proposed.designs) and not waits_for_all else 0
             if not len(flight):
                 if ended or not room:
+                    note_met(store, ended)
                     return True
                 if stopped:
                     return False
@@ -146,7 +148,7 @@ class _Loop:
                 raise SimulationError(text) if is_simulators_fault else InputError(text)
             answered = self.answered(flight)
             if answered is None:
-                return ended
+                return bool(ended)
             record(store, *answered)
 
     def validation_set(self) -> tuple[Array, NDArray[np.int8]] | None:
@@ -159,22 +161,27 @@ class _Loop:
         return simulated_set(self.campaign, self.store, self.executor, VALIDATION, X, self.observer.stop)
 
     def judged(
-        self, progress: Progress, learned: Learned, looks_now: bool, validation: tuple[Array, NDArray[np.int8]] | None
+        self,
+        progress: Progress,
+        history: History,
+        learned: Learned,
+        looks_now: bool,
+        validation: tuple[Array, NDArray[np.int8]] | None,
     ) -> Progress:
         """The progress with the classifier's accuracy, its verified error, and what is known of a probability."""
-        classifier, looks, error, stop_rule_met = learned.classifier, learned.looks, None, False
+        classifier, looks, error, is_small = learned.classifier, learned.looks, None, False
         # A campaign with an unseen outcome never meets its stop rule, so verifying it would waste simulations.
         if self.use_stop_rule and looks_now and not progress.unseen:
             self.observer.stage("verifying")
             estimator = Estimator(self.campaign, self.store, self.executor, classifier, progress.iteration)
-            error, stop_rule_met = verify_by_rule(estimator, self.observer.stop)
+            error, is_small = verify_by_rule(estimator, self.observer.stop)
         if validation is not None:
             share = accuracy(classifier, self.campaign.severity, *validation)
             progress = replace(progress, accuracy=share, recall=recall(classifier, *validation))
         if len(looks.table):
             progress = replace(progress, looks=looks)
-            stop_rule_met = self.use_stop_rule and looks.is_known
-        return replace(progress, error=error, stop_rule_met=stop_rule_met)
+        how = how_met(self.campaign.settings, history, looks, is_small) if self.use_stop_rule else ""
+        return replace(progress, error=error, stop_rule=how)
 
     def check(self, progress: Progress) -> None:
         """Check that not all, and not too many, simulations failed numerically.

@@ -1,4 +1,6 @@
-"""The journal of a run folder: a file of events that only grows, each durable once it is acknowledged.
+"""The journal of a run folder: a file of events that only grows, with the lock of its one writer.
+
+An event is durable once it is acknowledged.
 
 Its first line names the format. An entry that a crash has cut is dropped by the next writer, into a file beside the
 journal. An entry that is damaged before other entries is refused by its place.

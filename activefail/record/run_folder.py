@@ -213,8 +213,8 @@ class FolderStore(MemoryStore):
         # An entry named after a settings key is the digest of the user code that the key refers to.
         for name in [name for name in changed if "." in name]:
             self._warn(
-                f"Your code has changed since the last batch: {_setting(self.settings, name)} ({name}) or a module "
-                f"that it imports, {changed.pop(name)}. New simulations use the current code."
+                f"Your code has changed since the last batch: {_setting(self.settings, name)} ({name}) or a file "
+                f"that it uses, {changed.pop(name)}. New simulations use the current code."
             )
         if changed:
             self._warn(

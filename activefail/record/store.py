@@ -161,6 +161,11 @@ class Store(Protocol):
         """Names of the sets, sorted."""
         ...
 
+    @property
+    def digest(self) -> str:
+        """A digest of all batches and corrections."""
+        ...
+
     def remember(self, identity: tuple[str, ...], value: Any) -> None:
         """Keep a result that was computed from the record; replaces one of the same identity.
 

@@ -103,6 +103,8 @@ def hidden_places(
         if space.constraints:
             feasible = Z[space.meets_constraints(space.from_normal(Z))]
             Z = feasible if len(feasible) else space.to_normal(space.random(_POOL, rng))
+        if any(one.step is not None for one in space.parameters):
+            Z = space.to_normal(space.from_normal(Z))  # so that a known design has no distance from itself
         at = seen(Z)
         best = int(np.argmax(cdist(at, neighbours).min(axis=1)))
         places, neighbours = (

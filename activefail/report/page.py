@@ -31,6 +31,7 @@ from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
+from activefail.loop.stop_rule import noted
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
@@ -289,7 +290,7 @@ def render(
     text = (findings.folder / SETTINGS).read_text(encoding="utf-8")
     settings, history = campaign.settings, History.of(store.batches)
     done, scales = history.asked_for, length_scales(findings.classifier)
-    left = max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0
+    left = 0 if noted(store) else max(0, settings.sampling.budget - done)
     continues = continue_command(findings.folder, campaign)
     next_step = _next_step(campaign, evidence, folder, risk is not None)
     if left:

@@ -18,8 +18,9 @@ import numpy as np
 
 from activefail.errors import InputError, reason_of, signal_name
 from activefail.files import end_of, make_folder
+from activefail.simulators.code_folder import sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
-from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, filled_file
+from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, files_of, filled_file
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
@@ -104,6 +105,20 @@ class CommandSimulator:
             for file in self.copies:
                 if not (self.here / file).exists():
                     raise InputError(f"simulator.copy: {self.here / file} does not exist.")
+
+    def digest(self) -> str:
+        """Of the files in `here` that decide results: templates, copies, and those that the command names.
+
+        Of a Python program also what it imports from the folder of its file (`sources_of`).
+        """
+        assert self.here is not None
+        paths = [self.here / file for file in (*self.templates, *self.copies, *files_of(self.command))]
+        files = [file for path in paths for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
+        digests: dict[Path, str] = {}
+        for file in filter(Path.is_file, files):
+            digests |= sources_of(file, file.parent) if file.suffix == ".py" else {file: sha256(file.read_bytes())}
+        lines = [f"{os.path.relpath(file, self.here)} {digest}\n" for file, digest in sorted(digests.items())]
+        return sha256("".join(lines).encode())
 
     @property
     def filled(self) -> dict[str, list[str]]:

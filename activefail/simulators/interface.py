@@ -1,4 +1,4 @@
-"""The simulator interface: designs in, outcomes and margins out."""
+"""The simulator interface: designs in, outcomes and margins out; and what a run without a result counts as."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -17,8 +17,11 @@ PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
 
 _SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
 
-_IN_FILE = re.compile(r"\{([^\W\d]\w*)(?::([^{}]*))?\}")
-"""A placeholder in an input file, where all other braces stay."""
+_IN_FILE = re.compile(r"\{\{[^\W\d]\w*\}\}|\{([^\W\d]\w*)(?::([^{}]*))?\}")
+"""A placeholder in an input file, where all other braces stay; `{{name}}` stays as `{name}`."""
+
+_OF_CODE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{AF_HERE\})[\"']?/([^\s'\"]+)")
+"""A file of the code's folder in a command."""
 
 
 class Number(float):
@@ -125,19 +128,32 @@ def check_file(text: str, quantities: Mapping[str, float]) -> list[str]:
     """
     asked = []
     for name, form in _IN_FILE.findall(text):
+        if not name:
+            continue
         if name in quantities:
             _check(name, form, quantities)
             format(quantities[name], form)
             asked.append(name)
         elif near := get_close_matches(name, quantities, 1, 0.75):
-            raise ValueError(f"{{{name}}} is unknown; did you mean {{{near[0]}}}?")
+            raise ValueError(
+                f"{{{name}}} is unknown; did you mean {{{near[0]}}}? Double braces that stay: {{{{{name}}}}}"
+            )
     if not asked:
         raise ValueError(f"must ask for a quantity, like {{{next(iter(quantities))}}}")
     return list(dict.fromkeys(asked))
 
 
 def filled_file(text: str, design: Mapping[str, float]) -> str:
-    """An input file with the values of a design; other braces stay."""
-    return _IN_FILE.sub(
-        lambda found: format(_number(design[found[1]]), found[2] or "") if found[1] in design else found[0], text
-    )
+    """An input file with the values of a design; other braces stay; double braces become single."""
+
+    def filled(found: re.Match[str]) -> str:
+        if found[1] is None:
+            return found[0][1:-1]
+        return format(_number(design[found[1]]), found[2] or "") if found[1] in design else found[0]
+
+    return _IN_FILE.sub(filled, text)
+
+
+def files_of(command: str) -> list[str]:
+    """The files that a command names in the folder of the code, relative to it."""
+    return _OF_CODE.findall(command)

@@ -14,7 +14,7 @@ from activefail.errors import InputError, description_of
 from activefail.simulators.code_folder import SourceLoader, digest_of, file_of, import_from, sha256, sources_of
 from activefail.visible import visible
 
-SIMULATOR_KEY = "simulator.python"
+SIMULATOR_KEY, COMMAND_KEY = "simulator.python", "simulator.command"
 FEATURES_KEY = "classifier.features.python"
 KERNEL_KEY, LIKELIHOOD_KEY = "classifier.kernel.python", "classifier.likelihood.python"
 MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.python"

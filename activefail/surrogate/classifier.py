@@ -1,4 +1,4 @@
-"""The campaign's classifier: a latent for each boundary between outcomes, and the probabilities of outcomes."""
+"""The campaign's classifier: a latent for each boundary between outcomes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -1,4 +1,6 @@
-"""Trains a variational GP classifier on outcomes: sites by fixed-point iteration, hyperparameters by L-BFGS.
+"""Trains a variational GP classifier on outcomes: sites by fixed-point iteration, hyperparameters and how often.
+
+Hyperparameters are searched for by L-BFGS.
 
 The hyperparameters maximise the bound at the optimal sites, whose derivative by the covariance is closed and needs no
 derivative of the sites; autograd leads on through the kernel. Up to `EXACT` points the posterior is that of all points;

@@ -1,4 +1,4 @@
-"""Moments of a latent, and the probabilities that follow from them."""
+"""The probabilities of outcomes from the moments of latents: that of an outcome or worse never rises with severity."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """A campaign to explore, with a hostile name."""
 
+import socket
+import socketserver
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -80,3 +82,32 @@ def served(answers: Answers, host: str = "127.0.0.1", needs_token: bool = False)
         finally:
             server.shutdown()
             thread.join()
+
+
+@contextmanager
+def tunnel(port: int, prefix: str = "") -> Iterator[int]:
+    """Another port that leads to this one, as `ssh -L` does; a proxy with a path before the server's, if it has one."""
+
+    class Forwarded(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            with socket.create_connection(("127.0.0.1", port)) as server:
+                back = threading.Thread(target=copied, args=(server, self.request), daemon=True)
+                back.start()
+                while data := self.request.recv(65536):
+                    server.sendall(data.replace(f" {prefix}/".encode(), b" /", 1))
+                server.shutdown(socket.SHUT_WR)
+                back.join()
+
+    def copied(source: socket.socket, target: socket.socket) -> None:
+        while data := source.recv(65536):
+            target.sendall(data)
+
+    class Tunnel(socketserver.ThreadingTCPServer):
+        daemon_threads = True
+
+    with Tunnel(("127.0.0.1", 0), Forwarded) as forwarding:
+        threading.Thread(target=forwarding.serve_forever, daemon=True).start()
+        try:
+            yield forwarding.server_address[1]
+        finally:
+            forwarding.shutdown()

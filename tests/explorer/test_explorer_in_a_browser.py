@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import Visitor
+from explorer.conftest import Visitor, served, tunnel
 from patience import until
 from report.browser import NO_BROWSER, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
@@ -68,6 +68,28 @@ def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_sho
     assert strongest[2] > expected[2]
     assert visitor.one("#preset").get_attribute("value") == ""
     assert set(weakest) == {"no_impact", "impact", "failure"}
+
+
+@pytest.mark.parametrize("prefix", ["", "/user/ann/proxy/8050"])
+def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_works(driver, answers, prefix):
+    from selenium.webdriver.common.keys import Keys
+
+    fresh(driver, 1400, 1000)
+    with served(answers, needs_token=True) as running, tunnel(running.server_address[1], prefix) as port:
+        address = f"http://localhost:{port}{prefix}/"
+        driver.get(f"{address}?token={running.token}")
+        visitor = Explorer(driver)
+        visitor.settled()
+        point = answers.about()["presets"][0]["point"]
+        visitor.one("#v8").send_keys(Keys.HOME)
+        expected = answers.predict([*point[:8], 0.1])["probabilities"]
+        until(lambda: abs(visitor.probabilities()["no_impact"] - expected[0]) < 1e-9, "its prediction")
+        assert driver.current_url == address
+        assert console_errors(driver) == []
+        assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
+        driver.get(f"{address}design")
+        until(lambda: driver.find_elements("css selector", "h1"), "the page Design")
+        driver.get("about:blank")
 
 
 def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, answers):

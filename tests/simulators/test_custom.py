@@ -616,6 +616,7 @@ TEMPLATES = {
     "if {$x} { puts {a b} } {} {{}} {other}\ng = -{T}": [-1.5, -2.0, -2.9],
     "g = 7\ng = {storeys:.1e}\n": [3.0, 3.0, 3.0],
     "g = {T}D+01": [15.0, 20.0, 29.0],
+    "proc drift {{T}} {{{drfit}}}\ng = {storeys}": [3.0, 3.0, 3.0],
 }
 
 
@@ -633,7 +634,7 @@ def test_an_input_file_is_filled_in_and_a_number_is_read_from_the_output(tmp_pat
 @pytest.mark.parametrize(
     ("template", "says"),
     [
-        ("g = {drfit}", r"parts/model.tcl.in: \{drfit\} is unknown; did you mean \{drift\}\?"),
+        ("g = {drfit}", r"model.tcl.in: \{drfit\} is unknown; did you mean \{drift\}\? Double .*: \{\{drfit\}\}"),
         ("g = 1", r"parts/model.tcl.in: must ask for a quantity, like \{drift\}"),
         ("g = {drift:q}", "Unknown format code 'q'"),
         ("g = {drift:9999}", "must have a width and a precision of at most 100"),
@@ -658,6 +659,19 @@ def test_files_and_folders_are_copied_and_a_file_of_the_run_is_read(tmp_path: Pa
     for copies, says in ((("gone",), "gone does not exist"), (("lone", "mesh/../lone"), "only one 'lone'")):
         with pytest.raises(InputError, match=f"simulator.*copy: .*{says}"):
             made(tmp_path, **(options | {"copies": copies}))
+
+
+def test_a_program_s_files_are_in_the_digest_of_its_code(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    for name in ("parts/model.tcl.in", "start.py", "part.py", "note", "binary"):
+        (tmp_path / name).write_text("import part\nx = 1 # {drift}" if name == "start.py" else "g = 1 # {drift}")
+    command = "sh -c 'python3 {here}/start.py && \"$AF_HERE\"/binary'"
+    before = made(tmp_path, copies=("parts",), command=command).digest()
+    for name, decides in {"note": False, "start.py": True, "part.py": True, "binary": True, "parts/b": True}.items():
+        kept = (tmp_path / name).read_text() if (tmp_path / name).exists() else None
+        (tmp_path / name).write_text("import part\nx = 2" if name == "start.py" else "g = 2")
+        assert (made(tmp_path, copies=("parts",), command=command).digest() != before) is decides, name
+        (tmp_path / name).unlink() if kept is None else (tmp_path / name).write_text(kept)
 
 
 @pytest.mark.parametrize(
@@ -884,8 +898,8 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     assert result.code == 0
     digests = [digest[:8] for digest in (before, digest_without_running("model:run", mine))]
     assert result.err == (
-        "warning: Your code has changed since the last batch: model:run (simulator.python) or a module "
-        f"that it imports, {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
+        "warning: Your code has changed since the last batch: model:run (simulator.python) or a file "
+        f"that it uses, {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
     )
 
 

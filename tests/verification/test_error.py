@@ -151,7 +151,7 @@ def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended()
         looks = [p for p in seen if p.error is not None]
         assert looks[-1] is seen[-1]
         enough = [p.error.is_at_most(0.05, confidence_of_look(0.9, look)) for look, p in enumerate(looks, start=1)]
-        assert enough == [p.stop_rule_met for p in looks] == [False] * (len(looks) - 1) + [True]
+        assert enough == [bool(p.stop_rule) for p in looks] == [False] * (len(looks) - 1) + [True]
         assert run(campaign, store, executor, 200)
         assert standing(campaign, History.of(store.batches), 200).done == done
         assert run(campaign, store, executor, done + 10, use_stop_rule=False)

@@ -91,7 +91,7 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
     store, seen = taken(campaign)
     assert sum(len(batch) for batch in store.batches) == 40
     assert store.set_names() == []
-    assert not any(progress.stop_rule_met for progress in seen)
+    assert not any(progress.stop_rule for progress in seen)
     assert seen[-1].unseen == ("failure",)
 
 

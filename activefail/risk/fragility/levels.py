@@ -17,7 +17,7 @@ from activefail.space import Array, DesignSpace
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
 
-Intensity = Literal["pgv", "a_p"]
+PulseIntensity = Literal["pgv", "a_p"]
 
 UNITS = {"pgv": (PGV, "m/s"), "a_p": (AMPLITUDE, "g")}
 """Name and unit of each intensity."""
@@ -45,7 +45,10 @@ _BOUNDS = "bounds (--range)"
 
 
 def ladder_of(
-    asked: Inquiry, intensity: Intensity = "pgv", against: str | None = None, bounds: tuple[float, float] | None = None
+    asked: Inquiry,
+    intensity: PulseIntensity = "pgv",
+    against: str | None = None,
+    bounds: tuple[float, float] | None = None,
 ) -> Ladder:
     """The levels of a curve: of the intensity of a hazard's pulses, or of an uncertain variable of another question.
 
@@ -100,7 +103,7 @@ def ladder_of(
     return Ladder(against, known_one.unit if known_one else "", levels, is_log, in_steps)
 
 
-def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
+def intensity_ladder(intensity: PulseIntensity, hazard: Hazard) -> Ladder:
     """The ladder of an intensity: 24 fixed levels in a factor of ten; it includes the hazard's curve."""
     low, high = _RANGES[intensity]
     if intensity == "pgv":

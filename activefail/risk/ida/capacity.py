@@ -19,9 +19,6 @@ LEVELS, BISECTIONS = 10, 5
 LOWEST = 1.0 / 16.0
 """The lowest level of the ladder over the highest."""
 
-_HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0, "p695": 12.0}
-"""Highest level of the ladder by default, by the kind of the intensity; for "p695" over the set's own intensity."""
-
 Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
 
@@ -120,8 +117,7 @@ def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     Raises:
         InputError: if the highest level is not positive and finite.
     """
-    own = intensity.of_set if intensity.kind == "p695" else 1.0
-    top = own * _HIGHEST[intensity.kind] if highest is None else highest
+    top = intensity.highest if highest is None else highest
     if not 0.0 < top < np.inf:
         raise InputError(f"--to: must be positive and finite, got {top:g}.")
     return np.geomspace(LOWEST * top, top, LEVELS)

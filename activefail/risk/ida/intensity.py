@@ -1,8 +1,8 @@
-"""Measures of the intensity of a record: factor, peak acceleration or velocity, spectral acceleration."""
+"""Measures of the intensity of a record; `activefail.names.INTENSITIES` has their names and units."""
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from scipy.signal import lfilter
@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.names import INTENSITIES, IntensityKind
 from activefail.risk.ida.p695 import normalised_intensity
 from activefail.space import Array
 from activefail.visible import visible
@@ -22,17 +23,6 @@ _IN_A_PERIOD = 100
 
 _PERIODS = (0.01, 100.0)
 """Shortest and longest period of a spectral acceleration [s]."""
-
-Kind = Literal["factor", "pga", "pgv", "sa", "p695"]
-
-_NAMES: dict[str, tuple[str, str]] = {
-    "factor": ("scale factor", ""),
-    "pga": ("PGA", "g"),
-    "pgv": ("PGV", "m/s"),
-    "sa": ("Sa({T:g} s)", "g"),
-    "p695": ("S_T({T:g} s)", "g"),
-}
-"""Name and unit of each kind."""
 
 
 @dataclass(frozen=True)
@@ -47,28 +37,28 @@ class Intensity:
         of_set: S_NRT [g], the intensity of the set as it is, for "p695"; NaN before `on` a set.
     """
 
-    kind: Kind
+    kind: IntensityKind
     period: float = math.nan
     of_set: float = math.nan
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """From "factor", "pga", "pgv", "sa:T" or "p695", which `on` completes.
+        """From the kind, or "sa:T"; `on` completes "p695".
 
         Raises:
             InputError: if it is something else, or T is not between 0.01 and 100 s.
         """
         name, _, period = text.partition(":")
-        if name in _NAMES and name != "sa" and not period:
-            return cls(name)  # type: ignore[arg-type]
+        if name in INTENSITIES and name != "sa" and not period:
+            return cls(name)
         try:
             T = float(period) if name == "sa" else math.nan
         except ValueError:
             T = math.nan
         if not _PERIODS[0] <= T <= _PERIODS[1]:
             raise InputError(
-                f"--scale-to: must be factor, pga, pgv, p695 or sa:T with a period T from {_PERIODS[0]:g} to "
-                f"{_PERIODS[1]:g} s, such as sa:3.5, got {visible(text)!r}."
+                f"--scale-to: must be one of {', '.join(INTENSITIES)}, where sa:T has a period T from "
+                f"{_PERIODS[0]:g} to {_PERIODS[1]:g} s, such as sa:3.5, got {visible(text)!r}."
             )
         return cls("sa", T)
 
@@ -89,12 +79,17 @@ class Intensity:
     @property
     def name(self) -> str:
         """For tables and axes, such as "Sa(3.5 s)"."""
-        return _NAMES[self.kind][0].format(T=self.period)
+        return INTENSITIES[self.kind].name.format(T=self.period)
 
     @property
     def unit(self) -> str:
         """Empty for a factor."""
-        return _NAMES[self.kind][1]
+        return INTENSITIES[self.kind].unit
+
+    @property
+    def highest(self) -> float:
+        """The highest level of a ladder by default."""
+        return INTENSITIES[self.kind].highest * (self.of_set if self.kind == "p695" else 1.0)
 
     def of_record(self, motion: Accelerogram) -> float:
         """The intensity of a record as it is.

@@ -1,4 +1,4 @@
-"""Which variables affect a probability: its Sobol' indices by the classifier, and its change with one at a time.
+"""Which probability is decomposed over which variables, by the classifier; and its change with one at a time.
 
 Two functions have indices. Without a hazard, the probability of the outcome given all variables of a question, which is
 almost 0 or 1. With a hazard, the probability given the bearing alone: the pulses are integrated out.

@@ -1,4 +1,4 @@
-"""Sobol' indices of a function of independent variables, by SALib."""
+"""Sobol' indices of a function of independent variables, by SALib, and the order of the variables by them."""
 
 import importlib
 import math
