@@ -19,6 +19,7 @@ from activefail.accelerogram_header import (
     intervals,
     points,
     same_interval,
+    seconds_of_time,
     unit_named,
     units,
     value_of,
@@ -96,7 +97,7 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt:
             raise InputError(f"unit: the header states none, so it is required (--unit, one of {', '.join(UNITS)}).")
         interval = agreed("dt", dt, intervals(header), lambda x: f"{x:g} s", same_interval)
         count = agreed("points", None, points(header), lambda x: f"{x} points", eq)
-        values, interval, notes = _samples(data, count, interval)
+        values, interval, notes = _samples(data, count, interval, seconds_of_time(header))
         return Accelerogram(UNITS[found] * values, interval, visible(path.stem), notes=notes)
 
 
@@ -174,13 +175,16 @@ def _is_data(line: str) -> bool:
     return bool(_NUMBER.match(line.strip())) and not _WORD.search(line)
 
 
-def _samples(data: Lines, count: int | None, dt: float | None) -> tuple[np.ndarray, float, tuple[str, ...]]:
+def _samples(
+    data: Lines, count: int | None, dt: float | None, second: float
+) -> tuple[np.ndarray, float, tuple[str, ...]]:
     """Accelerations, interval and notes.
 
     Args:
         data: lines of numbers.
         count: number of points that the header states.
         dt: interval that the header or the option states.
+        second: unit of a column of times [s].
     """
     rows = [(k, list(_numbers(line, k))) for k, line in data]
     if not rows:
@@ -191,7 +195,7 @@ def _samples(data: Lines, count: int | None, dt: float | None) -> tuple[np.ndarr
     values = np.array([number for _, numbers in rows for number in numbers])
     widths = {len(numbers) for _, numbers in rows}
     if widths == {2} and count in (None, len(rows)):
-        return *_of_times(rows, dict(data), dt), notes
+        return *_of_times(rows, dict(data), dt, second), notes
     beyond = 0 if count is None else len(values) - count
     if count is None and widths != {1}:
         if not _is_wrapped(rows):
@@ -253,15 +257,15 @@ def _without_first(
     return rows, count, dt, ()
 
 
-def _of_times(rows: Rows, lines: dict[int, str], dt: float | None) -> tuple[np.ndarray, float]:
+def _of_times(rows: Rows, lines: dict[int, str], dt: float | None, second: float) -> tuple[np.ndarray, float]:
     """Accelerations and interval of lines with a time and an acceleration."""
-    values = np.array([numbers for _, numbers in rows])
+    values = np.array([numbers for _, numbers in rows]) * (second, 1.0)
     if len(values) < 2:
         raise InputError(f"must have at least 2 samples, got {len(values)}.")
     steps = np.diff(values[:, 0])
     mean = float((values[-1, 0] - values[0, 0]) / len(steps))
     # Times are rounded to the digits of the file.
-    rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0]]), 0)
+    rounding = second * 2.0 * 10.0 ** -max(_digits(lines[rows[1][0]]), 0)
     bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
     if len(bad) or not mean > 0.0:
         # One gap changes the mean of all steps, but not their median.

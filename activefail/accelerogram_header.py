@@ -63,6 +63,7 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _MILLISECONDS = re.compile(r"(?<![a-z])m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
+_TIME_IN_MS = re.compile(r"(?<![a-z])times?\s*[\[(,_]\s*m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
 _KIND = re.compile(r"\b(?:(\w+)\s+TIME\s+(?:SERIES|HISTORY)|DATA[_ ]?TYPE\s*[:=]\s*(\w+))", re.IGNORECASE)
 _OTHER_KINDS = ("VEL", "DIS", "SA", "SD")
 
@@ -165,6 +166,11 @@ def intervals(header: Lines) -> list[Stated]:
                 is_rate = pattern is _RATE and number > 1.0 and not in_ms
                 found.append(Stated(1.0 / number if is_rate else 1e-3 * number if in_ms else number, line, text))
     return found
+
+
+def seconds_of_time(header: Lines) -> float:
+    """The unit of a column of times [s]: milliseconds if a column's title states them."""
+    return 1e-3 if any(_TIME_IN_MS.search(text) for _, text in header) else 1.0
 
 
 def points(header: Lines) -> list[Stated]:

@@ -41,6 +41,14 @@ def test_columns_are_read(tmp_path: Path, separator: str) -> None:
     assert record.acceleration == pytest.approx([-0.03, -0.02, 0.01, 0.06, 0.13])
 
 
+@pytest.mark.parametrize("title", ["Time [ms], Acc [g]", "time (msec) a", "t\ttime_ms\tacc_g"])
+def test_a_column_of_milliseconds_is_understood(tmp_path: Path, title: str) -> None:
+    record = read_accelerogram(written(tmp_path, f"{title}\n0 1\n5 2\n10 3\n"), "g")
+    assert record.dt == pytest.approx(0.005)
+    with pytest.raises(InputError, match=r"dt: the times have an interval of 0\.005 s, got 5 s"):
+        read_accelerogram(written(tmp_path, f"{title}\n0 1\n5 2\n10 3\n"), "g", 5.0)
+
+
 def test_commas_between_columns_are_not_taken_for_decimals(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"line 3: times must rise by equal intervals \(.*\), got 0.2 s\.$"):
         read_accelerogram(written(tmp_path, "0.1,1\n0.2,1\n0.4,1\n0.5,1\n"), "g")
