@@ -20,7 +20,9 @@ from activefail.loop.learning import Learned, current
 from activefail.loop.running import run
 from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import BoundariesOf, OfBoundary, integrate
+from activefail.reliability.hidden import hidden_places
+from activefail.reliability.integral import BoundariesOf, OfBoundary, boundary_of, integrate
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import VariationalGP
@@ -51,6 +53,17 @@ class Dies:
         outcome = np.where(lost, NUMERICAL_FAILURE, g <= 0.0).astype(np.int8)
         margins = np.where(lost, np.nan, g)[:, None] if self.margins else np.empty((len(X), 0))
         return Results(outcome, np.zeros(len(X), dtype=np.int8), margins, np.zeros(len(X)))
+
+
+@dataclass(frozen=True)
+class Beyond(Dies):
+    """A solver that gives up around the boundary."""
+
+    def run(self, X):
+        g = self.at - X[:, 0] - 0.1 * X[:, 1]
+        lost = (g <= 0.05) & (g > -0.3)
+        outcome = np.where(lost, NUMERICAL_FAILURE, g <= 0.0).astype(np.int8)
+        return Results(outcome, np.zeros(len(X), dtype=np.int8), np.where(lost, np.nan, g)[:, None], np.zeros(len(X)))
 
 
 def settings_of(**changes):
@@ -153,6 +166,41 @@ def test_impossible_designs_leave_the_measure_and_break_no_limit() -> None:
     # x decides nearly alone, so the probability among the designs that exist is about that of all.
     true = ndtr(-3.0 / 1.01**0.5)
     assert integral.probability[0] == pytest.approx(true, rel=0.15)
+
+
+def test_all_places_give_the_probability_among_the_designs_that_exist() -> None:
+    # Half of the designs do not exist, whatever x is.
+    campaign, _, learned = taken(Dies(impossible=(0,), at=1.0, below=0.0), sampling__initial=40)
+    boundary = boundary_of(learned.classifier, campaign.features, "failure")
+    question = Question.of_space(campaign.space)
+    quick = classifier_probability(boundary, question, 4096)
+    integral = question.integral(BoundariesOf(learned.classifier, campaign.features), campaign.space)
+    assert quick == pytest.approx(integral.probability[0], rel=0.02)
+    assert quick == pytest.approx(float(ndtr(-1.0 / 1.01**0.5)), rel=0.15)
+
+
+def test_hidden_failure_is_looked_for_where_designs_exist() -> None:
+    space = settings_of().design_space()
+
+    def exists(X):
+        return X[:, :1]
+
+    places = hidden_places(space, np.zeros((1, 2)), 0.01, 8, np.random.default_rng(0), exists=exists)
+    assert (places[:, 0] > 0.0).all()
+
+
+def test_an_interval_reaches_both_probabilities_if_only_fresh_simulations_are_lost() -> None:
+    campaign, store, learned = taken(Dies(below=-9.0, at=2.0))
+    assert learned.classifier.unknown is None
+    campaign = Campaign.of(campaign.settings, simulator=Beyond(at=2.0))
+    if_none, if_all, held = ndtr(-2.3 / 1.01**0.5), ndtr(-1.95 / 1.01**0.5), 0
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(campaign, store, executor, learned.classifier, History.of(store.batches).last_iteration)
+        for draw in range(1, 7):
+            estimate = estimator.sample("failure", 50, Question.of_space(campaign.space).drawn(draw)).estimate(0.9)
+            assert estimate.lost is not None
+            held += estimate.low <= if_none and estimate.high >= if_all
+    assert held == 6
 
 
 def test_the_share_of_designs_that_exist_has_an_interval_that_holds_where_the_classifier_is_wrong() -> None:

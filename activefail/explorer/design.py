@@ -1,5 +1,6 @@
 """Answers of the page Design: the displacement capacity that a target requires, under the classifier and verified."""
 
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -23,7 +24,7 @@ from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.progress import Begin
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import Boundaries, Standardised, boundary_of
+from activefail.reliability.integral import Boundaries, Standardised, boundary_of, existence
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
@@ -87,11 +88,23 @@ class _Watched(Estimator):
         return self._watched(super().boundaries)
 
     def _watched(self, of_designs: Boundaries) -> Boundaries:
-        def watched(X: Array) -> Array:
-            self.verification.predicted(len(X))
-            return of_designs(X)
+        return _Counted(of_designs, self.verification.predicted)
 
-        return watched
+
+@dataclass(frozen=True)
+class _Counted:
+    """Boundaries that count their designs."""
+
+    of_designs: Boundaries
+    count: Callable[[int], None]
+
+    def __call__(self, X: Array) -> Array:
+        self.count(len(X))
+        return self.of_designs(X)
+
+    @property
+    def exists(self) -> Boundaries | None:
+        return existence(self.of_designs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from activefail.findings.lines import titled
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
-from activefail.reliability.integral import BoundariesOf, Lost, OfBoundary
+from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
@@ -76,7 +76,8 @@ def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
     """
     high = estimate.high
     if estimate.draws:
-        high = min(1.0, LARGEST_RATIO * upper_bound(estimate.hits, estimate.draws, BOUND_CONFIDENCE))
+        among_all = LARGEST_RATIO * upper_bound(estimate.hits, estimate.draws, BOUND_CONFIDENCE)
+        high = min(1.0, among_all / max(estimate.exists, among_all))
     return Bound(high, estimate.simulations, "fresh simulations")
 
 
@@ -132,14 +133,9 @@ class ProbabilityFindings:
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
         model = question.integral(BoundariesOf(classifier, campaign.features), campaign.space).of(severity - 1)
-
-        def share(lost: Lost) -> float:
-            boundary = BoundariesOf(classifier, campaign.features, lost, outcome)
-            return question.integral(boundary, campaign.space).of(0).probability
-
-        lost = None
-        if classifier.unknown is not None:
-            lost = min(model.probability, share("none")), max(model.probability, share("all"))
+        lost = estimate.lost
+        if lost is not None:
+            lost = min(model.probability, lost[0]), max(model.probability, lost[1])
         return cls(
             outcome=outcome,
             outcomes=tuple(campaign.simulator.outcomes),

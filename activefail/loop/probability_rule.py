@@ -19,6 +19,7 @@ from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.record.batch import CHECK
 from activefail.reliability.hidden import contradictions, designs_of_check, hidden_places, is_whole
+from activefail.reliability.integral import BoundariesOf
 from activefail.reliability.model_probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
@@ -181,15 +182,19 @@ def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
     return bool((history.outcome >= severity).any()) and looks.is_narrow(rule.cov)
 
 
-def check_designs(campaign: Campaign, simulated: Array, looks: Looks, rng: np.random.Generator) -> Array:
+def check_designs(
+    campaign: Campaign, simulated: Array, looks: Looks, classifier: Classifier, rng: np.random.Generator
+) -> Array:
     """The designs of a check, (4 + 2 d, d).
 
     Args:
         campaign: the campaign.
         simulated: (n, d) designs that were simulated or are being simulated.
         looks: of the stop rule.
+        classifier: knows where designs exist.
         rng: generator of the places.
     """
     space = campaign.space
     count = designs_of_check(space.dimension)
-    return hidden_places(space, space.to_normal(simulated), looks.probability, count, rng)
+    exists = BoundariesOf(classifier, campaign.features).exists
+    return hidden_places(space, space.to_normal(simulated), looks.probability, count, rng, exists=exists)

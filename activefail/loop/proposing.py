@@ -65,7 +65,7 @@ def propose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int,
     rng = stream(campaign.settings.seed, name, index)
     if needs_check(campaign, history, learned.looks):
         simulated = np.concatenate([history.designs, flight.designs, asked.dropped_designs])
-        return Chosen(check_designs(campaign, simulated, learned.looks, rng)[:room], CHECK)
+        return Chosen(check_designs(campaign, simulated, learned.looks, learned.classifier, rng)[:room], CHECK)
     chosen_before = int((asked.origin == ACTIVE).sum())
     designs = np.empty((0, campaign.space.dimension))
     for attempt in range(_ATTEMPTS):

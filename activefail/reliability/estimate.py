@@ -92,6 +92,9 @@ class ProbabilityEstimate:
             the interval is that of the numerical failures alone.
         hits: draws that ended beyond the boundary, or may have.
         check: of a question; None if none was made.
+        exists: lower end of the share of designs that exist.
+        lost: the classifier's probability if none, and if all, of the runs that are probably lost end beyond the
+            boundary; None if none was lost.
     """
 
     probability: float
@@ -110,6 +113,8 @@ class ProbabilityEstimate:
     draws: int = 0
     hits: int = 0
     check: ModeCheck | None = None
+    exists: float = 1.0
+    lost: tuple[float, float] | None = None
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -216,6 +221,7 @@ class Plan:
         deviation: this factor, of the margins of the fresh simulations (see `deviation_of_margins`).
         ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
             where all are; None if none is probably lost.
+        of: a plan of the same designs for another boundary and its baseline.
     """
 
     designs: Array
@@ -226,6 +232,7 @@ class Plan:
     doubts: Callable[[float], tuple[Doubt, Doubt]]
     deviation: float = 1.0
     ends: "tuple[Plan, Plan] | None" = None
+    of: "Callable[[Standardised, OfBoundary], Plan] | None" = None
 
     def deviating(self, deviation: float) -> "Plan":
         """The plan after the fresh margins showed how far they lie from their predictions.
@@ -351,7 +358,11 @@ def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> O
 
 
 def _baselines(boundaries: Boundaries, space: DesignSpace | WeightedRows) -> Integral:
-    return integrate(lambda X: np.where(boundaries(X) > 0.0, np.inf, -np.inf), space, accuracy=_ACCURACY)
+    return integrate(lambda X: boundaries(X), space, accuracy=_ACCURACY, share=_is_beyond)
+
+
+def _is_beyond(z: Array) -> Array:
+    return (z > 0.0).astype(np.float64)
 
 
 def plan_estimate(
@@ -425,7 +436,11 @@ def _planned(
     rows = rng.choice(len(X), m, p=shares / shares.sum())
 
     def plan(z: Array, share: OfBoundary) -> Plan:
-        return Plan(X[rows], ratio[rows], z[rows], share.probability, share.error, partial(doubts, z))
+        doubts_of = partial(doubts, z)
+        return Plan(X[rows], ratio[rows], z[rows], share.probability, share.error, doubts_of, of=plan_of)
+
+    def plan_of(boundary: Standardised, share: OfBoundary) -> Plan:
+        return plan(boundary(X), share)
 
     learned, *ends = ([plan(*one) for one in zip(*of, strict=True)] for of in zip(z, baselines, strict=True))
     pairs = zip(*ends, strict=True) if ends else [None] * len(learned)

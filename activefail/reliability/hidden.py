@@ -78,6 +78,7 @@ def hidden_places(
     count: int,
     rng: np.random.Generator,
     seen: Callable[[Array], Array] = lambda Z: Z,
+    exists: Callable[[Array], Array] | None = None,
 ) -> Array:
     """Designs, (count, d), far from the known ones and from each other (maximin; [JohnsonEtAl1990]).
 
@@ -91,6 +92,7 @@ def hidden_places(
         count: number of designs.
         rng: generator of the candidates.
         seen: points of standard normal space, (k, d), as the coordinates that distances are measured in, (k, m).
+        exists: designs, (k, d), to what is positive where they probably exist, (k, 1); None if all do.
     """
     from scipy.spatial.distance import cdist
 
@@ -103,6 +105,8 @@ def hidden_places(
         if space.constraints:
             feasible = Z[space.meets_constraints(space.from_normal(Z))]
             Z = feasible if len(feasible) else space.to_normal(space.random(_POOL, rng))
+        if exists is not None and (existing := exists(space.from_normal(Z))[:, 0] > 0.0).any():
+            Z = Z[existing]
         if any(one.step is not None for one in space.parameters):
             Z = space.to_normal(space.from_normal(Z))  # so that a known design has no distance from itself
         at = seen(Z)

@@ -44,6 +44,12 @@ _POPULATION, _PARENTS, _ROUNDS = 8192, 100, 40
 """Designs of a population and their parents, and most populations."""
 
 
+_BLIND = 6
+"""Populations without any design beyond the boundary, after which there is none."""
+
+Share = Callable[[Array], Array]
+"""Probits, of any shape -> the shares that designs count with."""
+
 Contains = Callable[[Array], NDArray[np.bool_]]
 """Designs, (n, d), or values of variables -> whether the campaign's space contains the designs, (n,)."""
 
@@ -129,10 +135,35 @@ def both(a: Array, b: Array) -> Array:
     return np.asarray(ndtri_exp(log_ndtr(a) + log_ndtr(b)))
 
 
-def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str, lost: Lost = "learned") -> Standardised:
+def existence(boundaries: Boundaries) -> Boundaries | None:
+    """Where designs exist, of boundaries that know it; None if all do."""
+    exists: Boundaries | None = getattr(boundaries, "exists", None)
+    return exists
+
+
+@dataclass(frozen=True)
+class BoundaryOf:
+    """One boundary of a classifier as a function of designs, (n, d) -> (n,).
+
+    Attributes:
+        boundaries: of which it is the only one.
+    """
+
+    boundaries: BoundariesOf
+
+    def __call__(self, X: Array) -> Array:
+        """The probits, (n,), of designs, (n, d)."""
+        return self.boundaries(X)[:, 0]
+
+    @property
+    def exists(self) -> Boundaries | None:
+        """As of `BoundariesOf`."""
+        return self.boundaries.exists
+
+
+def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str, lost: Lost = "learned") -> BoundaryOf:
     """The boundary of an outcome as a function of designs."""
-    boundaries = BoundariesOf(classifier, features, lost, outcome)
-    return lambda X: boundaries(X)[:, 0]
+    return BoundaryOf(BoundariesOf(classifier, features, lost, outcome))
 
 
 def integrate(
@@ -142,6 +173,7 @@ def integrate(
     accuracy: float = ACCURACY,
     designs: Callable[[Array], Array] = lambda X: X,
     contains: Contains | None = None,
+    share: Share = ndtr,
 ) -> Integral:
     """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z), of designs that exist.
 
@@ -152,6 +184,7 @@ def integrate(
         accuracy: relative standard error that is small enough.
         designs: the designs of values of the distribution's variables.
         contains: whether the campaign's space contains designs; all if None.
+        share: of a design with z that counts, Φ by default. Where it is searched for is decided by z itself.
     """
     integral = _integrated(
         lambda X: boundaries(designs(X)),
@@ -159,13 +192,14 @@ def integrate(
         resolution,
         accuracy,
         None if contains is None else lambda X: contains(designs(X)),
+        share,
     )
-    if not isinstance(boundaries, BoundariesOf) or boundaries.exists is None:
+    if (exists := existence(boundaries)) is None:
         return integral
-    exists = boundaries.exists
-    share = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None)
+    existing = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None)
     return integral._replace(
-        probability=np.minimum(integral.probability / share.probability, 1.0), error=integral.error / share.probability
+        probability=np.minimum(integral.probability / existing.probability, 1.0),
+        error=integral.error / existing.probability,
     )
 
 
@@ -175,37 +209,42 @@ def _integrated(
     resolution: float,
     accuracy: float,
     contains: Contains | None,
+    share: Share = ndtr,
 ) -> Integral:
     if isinstance(space, WeightedRows):
-        return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains)
+        return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains, share)
     X = sequences(space, _LENGTHS[-1]).reshape(SEQUENCES, _LENGTHS[-1], -1)
     beyond, accurate, integral = np.empty((SEQUENCES, 0, 0)), np.zeros(1, dtype=bool), Integral(*np.zeros((3, 1)))
     for length in _LENGTHS:
         # The beginning of a sequence is one too.
         new = X[:, beyond.shape[1] : length]
-        of_new = ndtr(boundaries(new.reshape(-1, new.shape[-1]))).reshape(*new.shape[:2], -1)
+        of_new = share(boundaries(new.reshape(-1, new.shape[-1]))).reshape(*new.shape[:2], -1)
         beyond = np.concatenate([beyond, of_new], axis=1) if beyond.size else of_new
         found = _of_sequences(beyond, X[:, :length], contains)
         # What was accurate with fewer points keeps its number, whatever else is integrated beside it.
         integral = Integral(*(np.where(accurate, *pair) for pair in zip(integral, found, strict=True)))
-        limit = np.maximum(accuracy * integral.probability, resolution)
+        # Of a probability near 1, the rest is what is rare.
+        rarer = np.minimum(integral.probability, 1.0 - integral.probability)
+        limit = np.maximum(accuracy * rarer, resolution)
         # A share that no point shows may be as large as three points.
-        seen = (integral.probability * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
+        seen = (rarer * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
         accurate = accurate | ((integral.error <= limit) & seen)
         if accurate.all():
             break
     if resolution:
         accurate = np.ones_like(accurate)
     for column in np.flatnonzero(~accurate):
-        of_column = _by_populations(boundaries, int(column), space, contains, accuracy)
-        for known, value in zip(integral, of_column, strict=True):
+        is_common = integral.probability[column] > 0.5
+        of_column = _by_populations(boundaries, int(column), space, contains, accuracy, share, is_common)
+        # Of a probability near 1, the sequences know where it comes from.
+        for known, value in zip(integral[: 2 if is_common else 3], of_column, strict=False):
             known[column] = value
     # Populations have their own errors, by which boundaries must not cross.
     return integral._replace(probability=np.minimum.accumulate(np.minimum(integral.probability, 1.0)))
 
 
-def _of_rows(boundaries: Boundaries, rows: WeightedRows, contains: Contains | None) -> Integral:
-    beyond = ndtr(boundaries(rows.X))
+def _of_rows(boundaries: Boundaries, rows: WeightedRows, contains: Contains | None, share: Share) -> Integral:
+    beyond = share(boundaries(rows.X))
     probability = (rows.weight[:, None] * beyond).mean(axis=0)
     error = rows.standard_error(beyond) if rows.is_sample else np.zeros_like(probability)
     return Integral(probability, np.asarray(error), _outside(rows.weight[:, None] * beyond, rows.X, contains))
@@ -237,30 +276,41 @@ def _by_populations(
     space: DesignSpace,
     contains: Contains | None,
     accuracy: float,
+    share: Share,
+    is_common: bool,
 ) -> tuple[float, float, float]:
-    """One boundary's probability, its standard error, and the part from outside."""
+    """One boundary's probability, its standard error, and the part from outside.
 
-    def importance(X: Array) -> Array:
+    Where the probability is above one half, the designs short of the boundary are searched for instead.
+    """
+
+    def searched(X: Array) -> Array:
         z = boundaries(X)[:, column]
-        return np.asarray(ndtr(z) + doubt(z))
+        return -z if is_common else z
+
+    def weighed(z: Array) -> Array:
+        """How much designs matter: as they count; where none does, z itself shows the way."""
+        counted = share(z)
+        return counted if share is not ndtr and counted.any() else np.asarray(ndtr(z) + doubt(z))
 
     rng = np.random.default_rng(0)
-    parents = first_parents(space, _POPULATION, _PARENTS, importance, rng)
+    parents = first_parents(space, _POPULATION, _PARENTS, lambda X: weighed(searched(X)), rng)
     means, variances, shares = [], [], []
     for _ in range(_ROUNDS):
         drawn = around(space, _POPULATION, parents, rng)
-        z = boundaries(drawn.X)[:, column]
-        parts = drawn.weight * ndtr(z)
+        z = searched(drawn.X)
+        parts = drawn.weight * share(z)
         means.append(float(parts.mean()))
         variances.append(float(parts.var()) / len(parts))
         shares.append(float(_outside(parts[:, None], drawn.X, contains)[0]))
         # Parents of a later population: those of the same one would bias its mean.
-        parents = next_parents(drawn, _PARENTS, ndtr(z) + doubt(z), rng)
+        parents = next_parents(drawn, _PARENTS, weighed(z), rng)
         mean, error = float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(means))
         if len(means) > 1:
             # A population that has missed a region does not know it; those that found it differ.
             error = max(error, float(np.std(means, ddof=1) / np.sqrt(len(means))))
-            # Nothing is simulated farther out than `REACH`.
-            if error <= accuracy * max(mean, REACH):
+            # Nothing is simulated farther out than `REACH`. A few populations may miss a region.
+            if error <= accuracy * max(mean, REACH) and (mean > 0.0 or len(means) >= _BLIND):
                 break
-    return mean, error, float(np.average(shares, weights=np.maximum(means, 1e-300)))
+    outside = float(np.average(shares, weights=np.maximum(means, 1e-300)))
+    return 1.0 - mean if is_common else mean, error, outside

@@ -3,10 +3,11 @@
 With `POINTS` points it is the first try of `Question.integral`, and the same number wherever that is accurate.
 """
 
+import numpy as np
 from scipy.special import ndtr
 
 from activefail.campaign.question import Question
-from activefail.reliability.integral import SEQUENCES, Standardised, sequences
+from activefail.reliability.integral import SEQUENCES, Standardised, existence, sequences
 from activefail.weighted import WeightedRows
 
 POINTS = 1024
@@ -14,7 +15,7 @@ POINTS = 1024
 
 
 def classifier_probability(standardised: Standardised, question: Question, points: int = POINTS) -> float:
-    """The probability beyond a boundary, the mean of Φ(z) over a question's distribution.
+    """The probability beyond a boundary, the mean of Φ(z) over the designs of a question's distribution that exist.
 
     Args:
         standardised: the boundary as a function of the campaign's designs.
@@ -22,8 +23,12 @@ def classifier_probability(standardised: Standardised, question: Question, point
         points: number of fixed points; a power of two. Of weighted rows at most twice as many, because they fill the
             space less evenly.
     """
-    space = question.space
+    space, weight = question.space, np.ones(1)
     if isinstance(space, WeightedRows):
         rows = space.thinned(2 * points)
-        return float((rows.weight * ndtr(standardised(question.designs(rows.X)))).mean())
-    return float(ndtr(standardised(question.designs(sequences(space, points // SEQUENCES)))).mean())
+        X, weight = question.designs(rows.X), rows.weight
+    else:
+        X = question.designs(sequences(space, points // SEQUENCES))
+    beyond = float((weight * ndtr(standardised(X))).mean())
+    exists = existence(standardised)
+    return beyond if exists is None else min(1.0, beyond / float((weight * ndtr(exists(X)[:, 0])).mean()))

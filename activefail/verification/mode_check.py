@@ -12,7 +12,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import deviation_of_margins
 from activefail.reliability.hidden import ModeCheck, contradictions, designs_of_check, hidden_places
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.reliability.integral import Boundaries
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import AnyLatent, MarginLatent
@@ -28,7 +29,12 @@ def is_checked(question: Question, latent: AnyLatent) -> bool:
 
 
 def places_of_check(
-    campaign: Campaign, question: Question, simulated: Array, probability: float, rng: np.random.Generator
+    campaign: Campaign,
+    question: Question,
+    simulated: Array,
+    probability: float,
+    rng: np.random.Generator,
+    exists: Boundaries | None = None,
 ) -> Array:
     """Designs of a check, (4 + 2 k, d) for k uncertain variables, far from all simulated ones in the features.
 
@@ -38,6 +44,7 @@ def places_of_check(
         simulated: (n, d) designs.
         probability: the estimate under the question.
         rng: generator of the places.
+        exists: where designs exist; None if all do.
     """
     space, features = question.space, campaign.features
     assert isinstance(space, DesignSpace)
@@ -46,7 +53,8 @@ def places_of_check(
         return finite(features, question.designs(space.from_normal(Z)))
 
     known, count = finite(features, simulated), designs_of_check(space.dimension)
-    return question.designs(hidden_places(space, known, max(REACH, probability), count, rng, seen))
+    existing = None if exists is None else lambda X: exists(question.designs(X))
+    return question.designs(hidden_places(space, known, max(REACH, probability), count, rng, seen, existing))
 
 
 def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: Array, results: Results) -> ModeCheck:
@@ -61,7 +69,10 @@ def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: 
     """
     severity, latent = campaign.simulator.outcomes.index(outcome), classifier.latent(outcome)
     assert isinstance(latent, MarginLatent)
-    answered = results.outcome != NUMERICAL_FAILURE
+    # A design that does not exist hides nothing.
+    answered = (results.outcome != NUMERICAL_FAILURE) | is_impossible(
+        campaign.simulator, results.outcome, results.cause
+    )
     margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
     deviation = deviation_of_margins(latent, campaign.features, designs, margin)
     wrong = contradictions(latent, finite(campaign.features, designs), results.outcome >= severity, None)

@@ -36,12 +36,14 @@ from activefail.reliability.integral import (
     OfBoundary,
     Standardised,
     boundary_of,
+    existence,
     integrate,
 )
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent
 from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
 from activefail.verification.stored_sets import (
@@ -110,6 +112,7 @@ class Sampled:
         check: of a question; None if none was made.
         exists: which designs exist; None if all do.
         severer: the same simulations for the more severe outcomes; empty if others answer for these.
+        lost: as of the estimate.
     """
 
     plan: AnyPlan
@@ -120,12 +123,13 @@ class Sampled:
     check: ModeCheck | None = None
     exists: Existing | None = None
     severer: "tuple[Sampled, ...]" = ()
+    lost: tuple[float, float] | None = None
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, at least those of the more severe outcomes."""
         estimates = [one._of_outcome(confidence) for one in (self, *self.severer)]
         largest = {name: max(getattr(one, name) for one in estimates) for name in ("probability", "low", "high")}
-        return replace(estimates[0], **largest)
+        return replace(estimates[0], lost=self.lost, **largest)
 
     def _of_outcome(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
@@ -138,6 +142,7 @@ class Sampled:
             probability=min(1.0, estimate.probability / middle),
             low=min(1.0, estimate.low / high),
             high=min(1.0, estimate.high / low),
+            exists=low,
         )
 
     def _among_all(self, confidence: float) -> ProbabilityEstimate:
@@ -273,6 +278,9 @@ class Estimator:
         impossible = is_impossible(self.campaign.simulator, results.outcome, results.cause)
         # A design that does not exist is beyond no boundary.
         answered = (results.outcome != NUMERICAL_FAILURE) | impossible
+        classifier = self._with_unknown(X, ~answered)
+        if classifier is not self.classifier:
+            plans = [self._with_ends(plan, classifier, question, place) for place, plan in enumerate(plans, severity)]
         exists, boundary = None, BoundariesOf(self.classifier, self.campaign.features).exists
         if boundary is not None:
             share = integrate(boundary, rows, designs=question.designs).of(0)
@@ -287,11 +295,44 @@ class Estimator:
             return Sampled(plan, (results.outcome >= number)[draws], answered[draws], first, error, exists=exists)
 
         sampled, *severer = (sampled_of(number, plan) for number, plan in enumerate(plans, start=severity))
-        sampled = replace(sampled, severer=tuple(severer))
+        lost = None if classifier.unknown is None else self._lost(classifier, outcome, question)
+        sampled = replace(sampled, severer=tuple(severer), lost=lost)
         if not (checks and is_checked(question, self.classifier.latent(outcome))):
             return sampled
         name = set_name("check", question.digest[:16], severity, *kept)
         return replace(sampled, check=self._check(sampled, X, outcome, question, name, results_of))
+
+    def _with_unknown(self, X: Array, lost: NDArray[np.bool_]) -> Classifier:
+        """The classifier that knows where runs are lost, if only fresh simulations, (n, d), have shown that any are."""
+        if self.classifier.unknown is not None or not lost.any():
+            return self.classifier
+        known = [batch.designs for batch in self.store.batches if batch.iteration <= self.iteration]
+        labels = np.concatenate([np.zeros(sum(map(len, known)), dtype=bool), lost])
+        F = self.campaign.features(np.concatenate([*known, X]))
+        return replace(self.classifier, unknown=VariationalGP("matern52").learned(F, labels))
+
+    def _with_ends(self, plan: AnyPlan, classifier: Classifier, question: Question, severity: int) -> AnyPlan:
+        """The plan with ends for lost runs; strata and all rows need none, because each stands for its own share."""
+        if not isinstance(plan, Plan) or plan.of is None:
+            return plan
+        ends = []
+        for lost in ("none", "all"):
+            of = boundary_of(classifier, self.campaign.features, classifier.outcomes[severity], lost)
+
+            def boundary(X: Array, of: Standardised = of) -> Array:
+                return of(question.designs(X))
+
+            ends.append(plan.of(boundary, baseline(boundary, question.space)))
+        return replace(plan, ends=(ends[0], ends[1]))
+
+    def _lost(self, classifier: Classifier, outcome: str, question: Question) -> tuple[float, float]:
+        """The classifier's probability if none, and if all, of the runs that are probably lost end beyond."""
+
+        def share(lost: Lost) -> float:
+            boundary = BoundariesOf(classifier, self.campaign.features, lost, outcome)
+            return question.integral(boundary, self.campaign.space).of(0).probability
+
+        return share("none"), share("all")
 
     def _check(
         self, sampled: Sampled, X: Array, outcome: str, question: Question, name: str, results_of: ResultsOf
@@ -301,12 +342,13 @@ class Estimator:
         # The estimate, unlike its interval, is the same for every confidence.
         probability = sampled.estimate(0.9).probability
         rng = stream(self.campaign.settings.seed, "hidden", _DRAWS * self.iteration + question.draw)
-        designs = places_of_check(self.campaign, question, np.concatenate([*learned, X]), probability, rng)
+        known, exists = np.concatenate([*learned, X]), existence(self.boundaries)
+        designs = places_of_check(self.campaign, question, known, probability, rng, exists)
         try:
             results = results_of(name, designs)
         except SimulationError:
-            # Far out, a simulator may fail everywhere. The fresh simulations stand.
-            return ModeCheck(len(designs), len(designs), 0)
+            # Far out, a simulator may fail everywhere, or no design exists. The fresh simulations stand.
+            return ModeCheck(len(designs), len(designs), 0) if exists is None else None
         return None if results is None else check_of(self.campaign, self.classifier, outcome, designs, results)
 
     def _is_shared(self, question: Question) -> bool:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
+from scipy.stats import ncx2
 
 from activefail.parameter import Parameter
+from activefail.reliability.estimate import baseline
 from activefail.reliability.integral import ACCURACY, integrate
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.moments import nested_probits, outcome_probabilities
@@ -33,6 +35,26 @@ def test_a_probability_is_integrated_to_its_stated_accuracy_however_rare_it_is(d
     assert abs(integral.probability[0] - true) < 4.0 * max(integral.error[0], 0.002 * true)
     # The points never change, so neither does the number.
     assert integrate(boundary, normals(d)).probability[0] == integral.probability[0]
+
+
+@pytest.mark.parametrize("beta", [2.5, 3.2, 4.5])
+def test_of_a_probability_near_one_the_rest_is_integrated_as_accurately(beta: float) -> None:
+    def beyond(X: Array) -> Array:
+        return ((beta - X[:, 0]) / 0.1)[:, None]
+
+    integral = integrate(beyond, normals(2))
+    rest = float(ndtr(-beta / np.sqrt(1.01)))
+    assert abs(1.0 - integral.probability[0] - rest) < 4.0 * max(integral.error[0], 0.002 * rest)
+    assert integral.error[0] <= ACCURACY * rest * 1.1
+
+
+def test_predictions_are_counted_on_an_island_that_no_prediction_leads_to() -> None:
+    # 4.6e-6 of the probability, 4.3 standard deviations away; its classifier is sure of nothing farther than 0.3.
+    def island(X: Array) -> Array:
+        return (0.5 - np.sqrt((X[:, 0] - 4.3) ** 2 + X[:, 1] ** 2 + X[:, 2] ** 2)) / 0.01
+
+    true = float(ncx2.cdf(0.25, 3, 4.3**2))
+    assert baseline(island, normals(5)).probability == pytest.approx(true, rel=0.15)
 
 
 def test_two_far_regions_are_both_found() -> None:

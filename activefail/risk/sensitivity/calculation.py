@@ -18,7 +18,7 @@ from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
 from activefail.parameter import Parameter
 from activefail.progress import Begin, uncounted
-from activefail.reliability.integral import Boundaries
+from activefail.reliability.integral import Boundaries, existence
 from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
 from activefail.risk.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
@@ -91,9 +91,14 @@ def sensitivity(
         p_values: of the variables by name, beside the indices too.
 
     Raises:
-        InputError: if a question's variables are correlated, or rows of a file; if the campaign of a hazard has nothing
-            but a pulse; if `samples` is invalid; or if SALib is not installed.
+        InputError: if a question's variables are correlated, or rows of a file; if some designs do not exist; if the
+            campaign of a hazard has nothing but a pulse; if `samples` is invalid; or if SALib is not installed.
     """
+    if existence(boundaries) is not None:
+        raise InputError(
+            "simulator.lost: designs that do not exist make the variables dependent, and the variance cannot be "
+            "divided among dependent variables."
+        )
     campaign, hazard = asked.campaign, asked.hazard
     column = campaign.simulator.outcomes.index(outcome) - 1
     varied = _of_question(asked.question, outcome) if hazard is None else _under_hazard(asked, outcome)
