@@ -34,6 +34,7 @@ _LARGEST = 200_000_000
 """Most bytes of a file."""
 
 _NUMBER = re.compile(NUMBER)
+_NUMBER_OR_NONE = re.compile(rf"{NUMBER}|[+-]?(?:nan|inf)\b", re.IGNORECASE)
 
 _WITH_POINT = re.compile(r"[+-]?(?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 """A number that may follow another one without a blank: its sign separates them."""
@@ -49,8 +50,8 @@ _WORD = re.compile(r"(?!nan\b|inf)[a-z]{3}", re.IGNORECASE)
 _END = re.compile(r"[-=/&#\s]*$|.*\b(?:end|eof)\b", re.IGNORECASE)
 """A line after the last sample."""
 
-_FAR = 20.0
-"""A whole number at the beginning that is so many times larger than every sample is none."""
+_FAR = 3.0
+"""A lone number at the beginning that is so many times larger than every sample is none: records begin at rest."""
 
 _FEW = 10
 """A tenth of a file, or less than a line, may follow the stated number of points."""
@@ -172,7 +173,7 @@ def _is_comment(line: str) -> bool:
 
 def _is_data(line: str) -> bool:
     """Whether a line begins with a number and has no words."""
-    return bool(_NUMBER.match(line.strip())) and not _WORD.search(line)
+    return bool(_NUMBER_OR_NONE.match(line.strip())) and not _WORD.search(line)
 
 
 def _samples(
@@ -249,7 +250,7 @@ def _without_first(
             return left, found or count, steps[0] if steps else dt, (note,)
     others = max((abs(number) for _, numbers in rows[1:] for number in numbers), default=0.0)
     k, number = rows[0][0], rows[0][1][0]
-    if widths == [1, 1] and number.is_integer() and abs(number) > _FAR * others > 0.0:
+    if widths == [1, 1] and abs(number) > _FAR * others > 0.0:
         raise InputError(
             f"line {k}: must be an acceleration, got {number:g}, and the others are at most {others:g}. Remove a line "
             "that is none."
@@ -308,7 +309,7 @@ def _numbers(line: str, k: int) -> Iterator[float]:
             numbers = [f"{match[1]}e{match[2]}"]
         else:
             numbers = _WITH_POINT.findall(part)
-            if "".join(numbers) != part:
+            if "".join(numbers) != part or not all(number[0] in "+-" for number in numbers[1:]):
                 raise InputError(f"line {k}: must be numbers, got {part!r}.")
         for number in map(value_of, numbers):
             if not math.isfinite(number):

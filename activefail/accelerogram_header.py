@@ -63,9 +63,11 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _MILLISECONDS = re.compile(r"(?<![a-z])m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
-_TIME_IN_MS = re.compile(r"(?<![a-z])times?\s*[\[(,_]\s*m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
+_TIME_IN_MS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(,_]\s*m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
+_TIME_IN_OTHERS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(]\s*(?:us|[µμ]s|micro\w*|min\w*|h|hours?)\b", re.IGNORECASE)
 _KIND = re.compile(r"\b(?:(\w+)\s+TIME\s+(?:SERIES|HISTORY)|DATA[_ ]?TYPE\s*[:=]\s*(\w+))", re.IGNORECASE)
 _OTHER_KINDS = ("VEL", "DIS", "SA", "SD")
+_OTHER_TITLE = re.compile(r"\b(?:veloc|vel\b|displ|disp\b|spectr|fourier)", re.IGNORECASE)
 
 FORMATS = {
     "K-NET": r"^Scale Factor\s+[\d.]+\(gal\)/",
@@ -95,8 +97,16 @@ class Stated:
 def unit_named(text: str) -> str:
     """The name in UNITS of a unit that may be spelled as gal, cm/sec^2, CM/S/S or m s-2; the text itself if none."""
     plain = re.sub(r"sec(?:ond)?s?", "s", text.strip().lower().replace("²", "2"))
-    plain = re.sub(r"[\s^*·._]", "", plain).replace("/s/s", "/s2").replace("s-2", "/s2").replace("//", "/")
-    plain = {"gal": "cm/s2", "gals": "cm/s2", "ms2": "m/s2", "cms2": "cm/s2", "mms2": "mm/s2"}.get(plain, plain)
+    plain = re.sub(r"[\s^*·._]|'s$", "", plain).replace("/s/s", "/s2").replace("s-2", "/s2").replace("//", "/")
+    plain = {
+        "gravity": "g",
+        "mps2": "m/s2",
+        "gal": "cm/s2",
+        "gals": "cm/s2",
+        "ms2": "m/s2",
+        "cms2": "cm/s2",
+        "mms2": "mm/s2",
+    }.get(plain, plain)
     return plain if plain in UNITS else text
 
 
@@ -123,12 +133,16 @@ def units(header: Lines) -> list[Stated]:
         InputError: if it states velocities, displacements or a unit that is not read.
     """
     found = []
-    for line, text in header:
+    for place, (line, text) in enumerate(header, 1):
         kind = _KIND.search(text)
-        if kind and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS):
+        is_other = kind is not None and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS)
+        # The last line has the title of the columns.
+        if is_other or (place == len(header) and _OTHER_TITLE.search(text) and "acc" not in text.lower()):
             raise InputError(f"line {line}: must state an acceleration, got {text.strip()!r}.")
         for match in _UNIT.finditer(text):
             before = text[: match.start()]
+            if match[1] is None and match[2] is None and re.search(rf"{NUMBER}\s*$", before):
+                continue  # of that number
             if match[1] is None and _NO_UNIT_OF_SAMPLES.search(text[: match.end()]):
                 continue
             if match[0].lower().startswith("in") and not _OF_SAMPLES.search(before):
@@ -156,9 +170,10 @@ def intervals(header: Lines) -> list[Stated]:
             for match in pattern.finditer(text):
                 if re.match(r",\d", text[match.end() :]):
                     raise InputError(f"line {line}: DT: must have a decimal point, got {text!r}.")
-                if _ANGLE.match(text, match.end()):
+                end = match.end(next(place for place, group in enumerate(match.groups(), 1) if group))
+                if _ANGLE.match(text, end):
                     continue  # a distance
-                if _OTHER_TIME.match(text, match.end()):
+                if _OTHER_TIME.match(text, end):
                     raise InputError(f"line {line}: must state an interval in s or ms, or a rate in Hz, got {text!r}.")
                 number = value_of(next(filter(None, match.groups())))
                 in_ms = _MILLISECONDS.search(match[0])
@@ -169,7 +184,14 @@ def intervals(header: Lines) -> list[Stated]:
 
 
 def seconds_of_time(header: Lines) -> float:
-    """The unit of a column of times [s]: milliseconds if a column's title states them."""
+    """The unit of a column of times [s]: milliseconds if a column's title states them.
+
+    Raises:
+        InputError: if it states another unit than seconds or milliseconds.
+    """
+    for line, text in header:
+        if _TIME_IN_OTHERS.search(text):
+            raise InputError(f"line {line}: must state times in s or ms, got {text.strip()!r}.")
     return 1e-3 if any(_TIME_IN_MS.search(text) for _, text in header) else 1.0
 
 

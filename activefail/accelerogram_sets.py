@@ -39,7 +39,9 @@ _SEARCH = re.compile(r"_?SearchResults.*\.csv", re.IGNORECASE)
 _PEER_FILE = re.compile(r"RSN(\d+)_([^_]+)_.+\.AT2", re.IGNORECASE)
 """A file of PEER's database: the record's number, the earthquake, and the station with its component."""
 
-_VERTICAL = re.compile(r"(?:[-_. ](?:UP|V|Z|UD|VER|VERT|VRT)|UP|DWN|DOWN|UD)\.[^.]+", re.IGNORECASE)
+_VERTICAL = re.compile(
+    r"(?:[-_. ](?:UP|U|V|Z|UD|VER\w*|VRT|[BHEL][NHL]Z)|UP|DWN|DOWN|UD)\.[^.]+$|[-_. ][BHEL][NHL]Z[-_. ]", re.IGNORECASE
+)
 """How the name of a file ends that has a vertical component; without a separator only in PEER's files."""
 
 _MOST_BYTES = 10_000_000

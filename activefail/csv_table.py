@@ -333,6 +333,11 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
             lines = csv.reader(file, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):
+                # A spreadsheet adds empty rows and columns.
+                while len(cells) > len(columns) and not cells[-1].strip():
+                    cells.pop()
+                if not any(map(str.strip, cells)):
+                    continue
                 place = f"{name}: row {number} (line {lines.line_num})"
                 if len(cells) != len(columns):
                     raise InputError(f"{place}: must have {len(columns)} cells, like the header, has {len(cells)}.")
@@ -362,7 +367,10 @@ def _header(table: str, cells: list[str] | None) -> tuple[str, ...]:
     for separator in (";", "\t"):
         if len(cells) == 1 and separator in cells[0]:
             raise InputError(f"{table}: columns must be separated by commas, not by {separator!r}.")
-    return _distinct(f"{table}: ", (name.strip() for name in cells))
+    names = [name.strip() for name in cells]
+    while len(names) > 1 and not names[-1]:
+        names.pop()
+    return _distinct(f"{table}: ", iter(names))
 
 
 def _distinct(place: str, names: Iterator[str]) -> tuple[str, ...]:

@@ -106,7 +106,7 @@ def tell(
     if correct and changed:
         raise InputError("changed: cannot be combined with correct; designs that have a result stay as they are.")
     checked = table_of(table)
-    if not checked.rows:
+    if not checked.columns:
         return 0
     with run._turn:
         told, handed_out = _told(run, checked, Reading(names or {}, skip_invalid), changed)
@@ -204,7 +204,7 @@ def add(
     if outside not in ("refuse", "keep"):
         raise InputError(f'outside: must be "refuse" or "keep", got {outside!r}.')
     checked = table_of(table)
-    if not checked.rows:
+    if not checked.columns:
         return 0
     added = ResultTable.added(run.campaign, checked, Reading(names or {}, skip_invalid, outside == "keep"))
     with run._turn:

@@ -223,6 +223,32 @@ def test_lines_of_a_few_samples_are_read_one_after_the_other_unless_they_may_be_
             read_accelerogram(written(tmp_path, text), "m/s2", 0.01)
 
 
+@pytest.mark.parametrize("fact", ["Gravity: 9.81 (m/s2)", "Target Sa(T1) = 0.5 (g)"])
+def test_the_unit_of_a_number_is_not_that_of_the_samples(tmp_path: Path, fact: str) -> None:
+    text = f"{fact}\n0.1\n-0.2\n"
+    with pytest.raises(InputError, match="unit: the header states none"):
+        read_accelerogram(written(tmp_path, text), dt=0.01)
+    assert read_accelerogram(written(tmp_path, text), "cm/s2", 0.01).acceleration == pytest.approx([0.001, -0.002])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("Sampling rate: 0.1 kHz\n0.1\n-0.2\n", "must state an interval in s or ms, or a rate in Hz"),
+        ("Time [us], Acc\n0 1\n5 2\n", "must state times in s or ms"),
+        ("Time (s), Velocity (cm/s)\n0 1\n1 2\n", "must state an acceleration"),
+        ("T (s) response spectrum\n0 1\n1 2\n", "must state an acceleration"),
+        ("20.5678123.4567234.5678\n", "must be numbers"),
+        ("nan\n0.1\n0.2\n", "must be numbers, got 'nan'"),
+        ("9.81\n0.1\n-0.2\n", "must be an acceleration, got 9.81"),
+        ("UNITS OF G'S\n0.1\n", "unit: the header states g, got cm/s2"),
+    ],
+)
+def test_what_is_no_acceleration_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        read_accelerogram(written(tmp_path, text), "cm/s2", 0.01)
+
+
 @pytest.mark.parametrize(
     ("text", "name"),
     [

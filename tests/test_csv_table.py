@@ -91,8 +91,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         "\ufeffa,b\n1,2\n3,4\n",
         " a , b\n 1,2 \n3.0,4e0\n",
         '"a","b"\n"1","2"\n+3,0.4E+1\n',
+        "a,b,,\n1,2,,\n,,,\n3,4,,\n,,,\n",
     ],
-    ids=["plain", "no end of line", "Windows", "byte order mark", "blanks", "quoted"],
+    ids=["plain", "no end of line", "Windows", "byte order mark", "blanks", "quoted", "empty rows and columns"],
 )
 def test_a_table_is_read_however_a_spreadsheet_writes_it(
     table: Callable[[str | bytes], DesignTable], content: str

@@ -1021,6 +1021,8 @@ FILLED_IN = {
     "an unknown id": "id,g\n77,1.5\n",
     "another result": "id,g\n0,-77.0\n",
     "simulations to add": "load,strength,g\n2.0,3.0,-1.0\n",
+    "a line before": "sep=,\nid,g\n8,1.5\n",
+    "other letters": "ID,Load,Outcome\n8,1.0,safe\n",
 }
 
 
@@ -1033,12 +1035,20 @@ def test_a_table_with_results_that_are_not_recorded_is_not_replaced(
         design = run.in_flight.set_index("id").loc[9]
     text = FILLED_IN[kind].replace("{9}", f"{design['load']!r},{design['strength']!r}")
     (todo := tmp_path / "todo.csv").write_bytes(before := text.encode({"Latin-1": "latin-1"}.get(kind, "utf-8")))
-    column = "outcome" if "outcome" in text else "g"
+    first = text.splitlines()[0]
+    of_others = {"sep=,": "sep=", "ID,Load,Outcome": "ID, Load, Outcome"}
+    column = of_others.get(first, "outcome" if "outcome" in first else "g")
     said = activefail("ask", folder, option, "--csv", todo)
     refused(said, f"--csv: {todo} holds results that are not recorded ({column}): `tell` them first")
     assert todo.read_bytes() == before
     with af.open_run(folder) as run:
         assert run.in_flight["id"].tolist() == [8, 9]
+
+
+def test_a_table_of_one_line_is_told_nothing_without_a_word_no_more(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "told.csv").write_text("8,safe,0.5\n")
+    for command in ("tell", "add"):
+        refused(activefail(command, folder, "--csv", tmp_path / "told.csv"), "required, but missing")
 
 
 def test_ask_fill_in_and_tell_go_on_in_one_table(folder: Path, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def _check_replaceable(path: Path, run: "Run") -> None:
     """Check that no results are lost with a table that will be replaced: somebody may have filled it in.
 
     Raises:
-        InputError: if `tell` would record results of it, or refuses it and it has a column of results.
+        InputError: if `tell` would record results of it, or refuses it and it is no table of designs alone.
     """
     from activefail.csv_table import likely_header
 
@@ -130,16 +130,15 @@ def _check_replaceable(path: Path, run: "Run") -> None:
             return
     except InputError:
         pass
-    # What `tell` refuses may be a table of designs alone, or another file, which is replaced like every output.
-    header, space = set(likely_header(path)), run.campaign.space
-    results = {"outcome", *run.campaign.simulator.margins}
-    if {"id", *space.names} <= header:  # of designs that were handed out: any other column may be a result
-        results = header - {"id", *space.names, *space.fixed, ""}
-    if held := sorted(results & header):
-        raise InputError(
-            f"--csv: {path} holds results that are not recorded ({', '.join(held)}): `tell` them first, or name "
-            "another file."
-        )
+    # What `tell` refuses may be a table of designs alone. Any other file may be somebody's work.
+    header, asked = set(likely_header(path)), {"id", *run.space.names, *run.space.fixed, ""}
+    if "id" in header <= asked or not path.stat().st_size:
+        return
+    results = {"outcome", *run.campaign.simulator.margins} & header or (header - asked) or header
+    raise InputError(
+        f"--csv: {path} holds results that are not recorded ({', '.join(sorted(results))}): `tell` them first, or name "
+        "another file."
+    )
 
 
 class _NothingError(Exception):

@@ -17,7 +17,6 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -254,11 +253,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _tokens(self) -> list[str]:
         tokens = parse_qs(self.url.query).get("token", []) if self.command in ("GET", "HEAD") else []
-        try:
-            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self.server.cookie)
-        except CookieError:
-            cookie = None
-        return [*tokens, *([cookie.value] if cookie else [])]
+        # Other programs of the host may have set cookies of any form.
+        cookies = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]
+        return [*tokens, *(value for name, _, value in cookies if name == self.server.cookie)]
 
     def _serve_page(self) -> None:
         path = self.url.path
@@ -269,7 +266,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.server.token and "token" in parse_qs(self.url.query):
             # Move the token to a cookie: addresses are copied and logged.
             # Relative, for a proxy that serves the pages below another path.
-            cookie = f"{self.server.cookie}={self.server.token}; HttpOnly; SameSite=Strict; Path=/"
+            cookie = f"{self.server.cookie}={self.server.token}; HttpOnly; SameSite=Lax; Path=/"
             self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": f".{path}", "Set-Cookie": cookie})
         else:
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.pages[path].encode())

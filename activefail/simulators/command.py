@@ -35,6 +35,10 @@ LARGEST_ANSWER = 1_000_000
 _LARGEST_OUTPUT = 100_000_000
 """Most bytes in a file that a pattern is searched in."""
 
+_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD])\Z")
+_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD][+-]?\d")
+"""What is before and after a match that is only a part of a number."""
+
 _OWN_FILES = ("design.json", "stdout.txt", "stderr.txt", "answer.json")
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -100,11 +104,16 @@ class CommandSimulator:
                 raise InputError(f"simulator.template, simulator.copy: a run's folder can have only one {name!r}.")
         if self.pattern is not None and self.output in names[len(_OWN_FILES) :]:
             raise InputError(f"simulator.output: must be a file that the program writes, got {self.output!r}.")
+        if Path(self.output).is_absolute() or ".." in Path(self.output).parts:
+            raise InputError(f"simulator.output: must be a file in the folder of the run, got {self.output!r}.")
         if self.here is not None:
             _ = self.filled
             for file in self.copies:
-                if not (self.here / file).exists():
-                    raise InputError(f"simulator.copy: {self.here / file} does not exist.")
+                source = self.here / file
+                if not source.exists():
+                    raise InputError(f"simulator.copy: {source} does not exist.")
+                if self.work.resolve().is_relative_to(source.resolve()):
+                    raise InputError(f"simulator.copy: {source} must not hold the run folder.")
 
     def digest(self) -> str:
         """Of the files in `here` that decide results: templates, copies, and those that the command names.
@@ -206,22 +215,31 @@ class CommandSimulator:
             raise RuntimeError(
                 f"the program exceeded simulator.largest_file ({self.largest_file} bytes) with a file in its folder"
             )
+        # A UTF-8 character has at most four bytes.
+        lines = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip().splitlines()
+        said = f"; stderr.txt ends with {lines[-1][-LONGEST_EXCERPT:]!r}" if lines else "; stderr.txt is empty"
         if code != 0:
-            # A UTF-8 character has at most four bytes.
-            lines = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip().splitlines()
-            how = f"exit code {code}" + (f" ({signal_name(-code)})" if code < 0 else "")
-            said = f"ends with {lines[-1][-LONGEST_EXCERPT:]!r}" if lines else "is empty"
-            raise RuntimeError(f"{how}; stderr.txt {said}")
-        if self.pattern is not None:
-            answer = _matched(self.pattern, folder / self.output)
-        else:
-            # The program may link to a file of its results.
-            written = _read(out, LARGEST_ANSWER, "; its path is {out} in the command, or $AF_OUT in the environment")
-            try:
-                answer = json.loads(written)
-            except (ValueError, RecursionError) as error:
-                raise UnusableAnswerError(f"{out.name} is not JSON: {error}") from None
+            raise RuntimeError(f"exit code {code}{f' ({signal_name(-code)})' if code < 0 else ''}{said}")
+        try:
+            answer = self._answer(folder, out)
+        except UnusableAnswerError as error:
+            raise UnusableAnswerError(f"{error}{said}") from None
         return read_answer(answer, self.outcomes, self.margins, self.levels, seconds)
+
+    def _answer(self, folder: Path, out: Path) -> object:
+        """What the program wrote.
+
+        Raises:
+            UnusableAnswerError: if it is no answer.
+        """
+        if self.pattern is not None:
+            return _matched(self.pattern, folder / self.output)
+        # The program may link to a file of its results.
+        written = _read(out, LARGEST_ANSWER, "; its path is {out} in the command, or $AF_OUT in the environment")
+        try:
+            return json.loads(written)
+        except (ValueError, RecursionError) as error:
+            raise UnusableAnswerError(f"{out.name} is not JSON: {error}") from None
 
     def _prepare(self, design: Mapping[str, float], folder: Path) -> None:
         """Write the templates with a design's values, and copy files, to its folder."""
@@ -232,6 +250,9 @@ class CommandSimulator:
         for file in self.copies:
             source = self.here / file
             (shutil.copytree if source.is_dir() else shutil.copy2)(source, folder / source.name)
+        if self.output not in _OWN_FILES:
+            # A copied file is no answer.
+            (folder / self.output).unlink(missing_ok=True)
 
 
 def _target(template: str) -> str:
@@ -260,14 +281,17 @@ def _matched(pattern: str, path: Path) -> float:
         UnusableAnswerError: if there is none.
     """
     text = _read(path, _LARGEST_OUTPUT).decode(errors="replace")
-    found = [match[1] for match in re.finditer(pattern, text, re.MULTILINE)]
-    if not found:
+    *_, found = None, *re.finditer(pattern, text, re.MULTILINE)
+    if found is None:
         raise UnusableAnswerError(f"{path.name} has no match of simulator.pattern, {pattern!r}")
+    if found[1] and (_CUT_BEFORE.search(text, 0, found.start(1)) or _CUT_AFTER.match(text, found.end(1))):
+        around = text[max(0, found.start(1) - 10) : found.end(1) + 10]
+        raise UnusableAnswerError(f"simulator.pattern: must match whole numbers, got {found[1]!r} of {around!r}")
     try:
         # Fortran writes 1.0D-3.
-        return float(re.sub("[dD]", "e", found[-1] or "").replace("_", "?"))
+        return float(re.sub("[dD]", "e", found[1] or "").replace("_", "?"))
     except ValueError:
-        raise UnusableAnswerError(f"simulator.pattern: must match a number, got {found[-1]!r} in {path.name}") from None
+        raise UnusableAnswerError(f"simulator.pattern: must match a number, got {found[1]!r} in {path.name}") from None
 
 
 @contextmanager

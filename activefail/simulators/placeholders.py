@@ -17,8 +17,8 @@ PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
 
 _SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
 
-_IN_FILE = re.compile(r"\{\{[^\W\d]\w*\}\}|\{([^\W\d]\w*)(?::([^{}]*))?\}")
-"""A placeholder in an input file, where all other braces stay; `{{name}}` stays as `{name}`."""
+_IN_FILE = re.compile(r"(?<!\$)\{\{[^\W\d]\w*\}\}|(?<!\$)\{([^\W\d]\w*)(?::([^{}]*))?\}")
+"""A placeholder in an input file, where all other braces and `${name}` stay; `{{name}}` stays as `{name}`."""
 
 _OF_CODE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{AF_HERE\})[\"']?/([^\s'\"]+)")
 """A file of the code's folder in a command."""
@@ -51,6 +51,8 @@ def check_command(command: str, quantities: Mapping[str, float]) -> None:
         if not parts:
             raise ValueError("must name a program")
         for part in parts:
+            if variable := re.search(r"\$\{(\w+)", part):
+                raise ValueError(f"write ${{{{{variable[1]}}}}} for the shell's own variable, or $AF_{variable[1]}")
             for _, name, form, _ in string.Formatter().parse(part):
                 if name is not None:
                     _check(name, form or "", (*quantities, "out", "here"))
@@ -66,7 +68,9 @@ def _check(name: str, form: str, known: Collection[str]) -> None:
     if any(len(digits.lstrip("0")) > 3 or int(digits) > LONGEST_NUMBER for digits in re.findall(r"\d+", form)):
         raise ValueError(f"the format of {{{name}}} must have a width and a precision of at most {LONGEST_NUMBER}")
     if name not in known:
-        raise ValueError(f"{{{name}}} is unknown; use one of {', '.join(f'{{{name}}}' for name in known)}")
+        raise ValueError(
+            f"{{{name}}} is unknown; use one of {', '.join(f'{{{name}}}' for name in known)}; double other braces"
+        )
 
 
 def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Path]) -> list[str]:
@@ -134,7 +138,9 @@ def check_file(text: str, quantities: Mapping[str, float]) -> list[str]:
             _check(name, form, quantities)
             format(quantities[name], form)
             asked.append(name)
-        elif near := get_close_matches(name, quantities, 1, 0.75):
+        elif near := [one for one in quantities if one.lower() == name.lower()] or get_close_matches(
+            name, quantities, 1, 0.75
+        ):
             raise ValueError(
                 f"{{{name}}} is unknown; did you mean {{{near[0]}}}? Double braces that stay: {{{{{name}}}}}"
             )

@@ -80,14 +80,14 @@ def _of_limit_state(
     """The outcome and the margin of an answer that is the margin alone.
 
     Raises:
-        UnusableAnswerError: if it is no number, or NaN.
+        UnusableAnswerError: if it is no finite number.
     """
     number = _one_number(answer)
     if number is None:
         raise UnusableAnswerError(f"{_ways(outcomes)}, or the margin {margin} as one number, got {answer!r}")
     value = _number(margin, number)
-    if np.isnan(value):
-        raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must be a number")
+    if not np.isfinite(value):
+        raise UnusableAnswerError(f"the margin {margin} is {value}; without an outcome it must be a finite number")
     return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
 
 

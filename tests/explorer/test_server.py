@@ -193,8 +193,9 @@ def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad
     assert (answer.status, answer.headers["Location"]) == (303, "./")
     cookie = answer.headers["Set-Cookie"]
     assert "HttpOnly" in cookie
-    assert "SameSite=Strict" in cookie
+    assert "SameSite=Lax" in cookie
     kept = cookie.split(";")[0]
+    assert "This design" in request(abroad, Cookie=f'of another={{"a": 1}}; a:b=1; flag; {kept}').text
     assert "This design" in request(abroad, Cookie=kept).text
     assert ask(abroad, "predict", {"point": POINT}, Cookie=kept).status == 200
 

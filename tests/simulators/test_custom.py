@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import math
 import os
 import pickle
 import re
@@ -616,6 +617,7 @@ TEMPLATES = {
     "if {$x} { puts {a b} } {} {{}} {other}\ng = -{T}": [-1.5, -2.0, -2.9],
     "g = 7\ng = {storeys:.1e}\n": [3.0, 3.0, 3.0],
     "g = {T}D+01": [15.0, 20.0, 29.0],
+    "g = {drift:.2f} ;# ${drift} ${T}": [0.33, 2.5, 3.7],
     "proc drift {{T}} {{{drfit}}}\ng = {storeys}": [3.0, 3.0, 3.0],
 }
 
@@ -672,6 +674,35 @@ def test_a_program_s_files_are_in_the_digest_of_its_code(tmp_path: Path) -> None
         (tmp_path / name).write_text("import part\nx = 2" if name == "start.py" else "g = 2")
         assert (made(tmp_path, copies=("parts",), command=command).digest() != before) is decides, name
         (tmp_path / name).unlink() if kept is None else (tmp_path / name).write_text(kept)
+
+
+@pytest.mark.parametrize(
+    ("printed", "pattern"),
+    [
+        ("g = -7.142857e-02", r"g = ([-\d.]+)"),
+        ("g = -7.142857e-02", r"([-\d.]+)"),
+        ("g = 0,5", r"g = ([-\d.]+)"),
+        ("g = 1.#INF", r"g = ([-\d.]+)"),
+    ],
+)
+def test_a_pattern_that_matches_a_part_of_a_number_gives_no_answer(tmp_path: Path, printed: str, pattern: str) -> None:
+    results = answer(made(tmp_path, templates=(), command=f"echo '{printed}'", pattern=pattern), X[:1])
+    assert "simulator.pattern: must match whole numbers" in results.faults[0]
+
+
+def test_what_was_copied_is_no_answer_and_no_output_lies_outside(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "drift.out").write_text("g = 4\n")
+    options = {"templates": (), "command": "true", "output": "results/drift.out", "copies": ("results",)}
+    assert "did not write drift.out" in answer(made(tmp_path, **options), X[:1]).faults[0]
+    for changed, says in (
+        ({"output": str(tmp_path / "shared.out")}, "must be a file in the folder of the run"),
+        ({"output": "../shared.out"}, "must be a file in the folder of the run"),
+        ({"work": tmp_path / "results" / "run"}, "results must not hold the run folder"),
+        ({"command": "sh -c 'x=1; echo ${x}'"}, r"write \$\{\{x\}\} for the shell's own variable, or \$AF_x"),
+    ):
+        with pytest.raises(InputError, match=says):
+            made(tmp_path, **(options | changed))
 
 
 @pytest.mark.parametrize(
@@ -1264,7 +1295,9 @@ def test_what_is_not_one_number_is_refused_with_what_to_return(value: object) ->
 
 
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
-    with pytest.raises(UnusableAnswerError, match="the margin g is NaN"):
+    with pytest.raises(UnusableAnswerError, match="the margin g is inf; without an outcome it must be a finite number"):
+        read_answer(math.inf, ("safe", "failure"), ("g",), (0.0,), 0.0)
+    with pytest.raises(UnusableAnswerError, match="the margin g is nan"):
         read_answer(float("nan"), ("safe", "failure"), ("g",), (0.0,), 0.0)
     for value, margins, levels in ((0.5, (), ()), (True, ("g",), (0.0,))):
         with pytest.raises(UnusableAnswerError, match=r"must be the name of an outcome \(safe, failure\), or"):
