@@ -1,4 +1,4 @@
-// What the explorer's pages share: text and numbers, sliders, requests, and drawings.
+// What the explorer's pages share: text and numbers, what a moved slider does, requests, and drawings.
 
 export const about = JSON.parse(document.getElementById("about").textContent);
 export const find = (id) => document.getElementById(id);

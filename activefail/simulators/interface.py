@@ -1,4 +1,4 @@
-"""The simulator interface: designs in, outcomes and margins out; and what a run without a result counts as."""
+"""The simulator interface: designs in, outcomes and margins out; and the causes of a lost run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

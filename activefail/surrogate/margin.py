@@ -1,4 +1,4 @@
-"""GP regression of a limit-state margin, negative beyond an outcome's boundary: sites, warping and length scales.
+"""GP regression of a limit-state margin, negative beyond the boundary: sites, warping, hyperparameters and how often.
 
 A margin says more than its sign, so its boundary needs far fewer simulations. Where a simulation ends at failure, a
 failed design's margin says no more than its sign: it is censored, and expectation propagation takes it as "at most 0"
