@@ -1,13 +1,17 @@
 """Whether a campaign's stop rule is met, and how: for the loop, `ask`, `status` and the report."""
 
+from typing import TYPE_CHECKING
+
 from activefail.campaign.sections import ErrorStop, ProbabilityStop
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
-from activefail.loop.probability_rule import Looks
 from activefail.record.store import Store
 
+if TYPE_CHECKING:
+    from activefail.loop.probability_rule import Looks
 
-def how_met(settings: CampaignSettings, history: History, looks: Looks, error_is_small: bool = False) -> str:
+
+def how_met(settings: CampaignSettings, history: History, looks: "Looks", error_is_small: bool = False) -> str:
     """How the stop rule is met, in words; empty if it is not, or without a rule.
 
     Args:

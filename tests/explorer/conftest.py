@@ -4,7 +4,7 @@ import socket
 import socketserver
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -88,9 +88,10 @@ def served(answers: Answers, host: str = "127.0.0.1", needs_token: bool = False)
 def tunnel(port: int, prefix: str = "") -> Iterator[int]:
     """Another port that leads to this one, as `ssh -L` does; a proxy with a path before the server's, if it has one."""
 
+    # Either side may hang up.
     class Forwarded(socketserver.BaseRequestHandler):
         def handle(self) -> None:
-            with socket.create_connection(("127.0.0.1", port)) as server:
+            with suppress(OSError), socket.create_connection(("127.0.0.1", port)) as server:
                 back = threading.Thread(target=copied, args=(server, self.request), daemon=True)
                 back.start()
                 while data := self.request.recv(65536):
@@ -99,8 +100,9 @@ def tunnel(port: int, prefix: str = "") -> Iterator[int]:
                 back.join()
 
     def copied(source: socket.socket, target: socket.socket) -> None:
-        while data := source.recv(65536):
-            target.sendall(data)
+        with suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
 
     class Tunnel(socketserver.ThreadingTCPServer):
         daemon_threads = True
