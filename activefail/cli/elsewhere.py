@@ -130,11 +130,15 @@ def _check_replaceable(path: Path, run: "Run") -> None:
             return
     except InputError:
         pass
-    # What `tell` refuses may be a table of designs alone. Any other file may be somebody's work.
-    header, asked = set(likely_header(path)), {"id", *run.space.names, *run.space.fixed, ""}
-    if "id" in header <= asked or not path.stat().st_size:
+    # What `tell` refuses may be a table of designs alone, also of another campaign. Any other file is somebody's work.
+    header, results = set(likely_header(path)) - {""}, {"outcome", *run.campaign.simulator.margins}
+    if {"id", *run.space.names} <= header:  # of designs that were handed out: any other column may be a result
+        results = header - {"id", *run.space.names, *run.space.fixed}
+    elif "id" not in header:
+        results = results & header or header
+    results &= header
+    if not results or not path.stat().st_size:
         return
-    results = {"outcome", *run.campaign.simulator.margins} & header or (header - asked) or header
     raise InputError(
         f"--csv: {path} holds results that are not recorded ({', '.join(sorted(results))}): `tell` them first, or name "
         "another file."
