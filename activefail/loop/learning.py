@@ -170,7 +170,7 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
             store.write_state(iteration, learned.state)
     assert learned is not None
     if write:
-        note_met(store, how_met(campaign.settings, history, learned.looks))
+        note_met(store, how_met(campaign, history, learned.looks))
     return learned
 
 

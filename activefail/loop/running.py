@@ -180,7 +180,7 @@ class _Loop:
             progress = replace(progress, accuracy=share, recall=recall(classifier, *validation))
         if len(looks.table):
             progress = replace(progress, looks=looks)
-        how = how_met(self.campaign.settings, history, looks, is_small) if self.use_stop_rule else ""
+        how = how_met(self.campaign, history, looks, is_small) if self.use_stop_rule else ""
         return replace(progress, error=error, stop_rule=how)
 
     def check(self, progress: Progress) -> None:

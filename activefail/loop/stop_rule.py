@@ -3,29 +3,29 @@
 from typing import TYPE_CHECKING
 
 from activefail.campaign.sections import ErrorStop, ProbabilityStop
-from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
 from activefail.record.store import Store
 
 if TYPE_CHECKING:
+    from activefail.campaign.assembly import Campaign
     from activefail.loop.probability_rule import Looks
 
 
-def how_met(settings: CampaignSettings, history: History, looks: "Looks", error_is_small: bool = False) -> str:
+def how_met(campaign: "Campaign", history: History, looks: "Looks", error_is_small: bool = False) -> str:
     """How the stop rule is met, in words; empty if it is not, or without a rule.
 
     Args:
-        settings: of the campaign.
+        campaign: the campaign.
         history: its simulations.
         looks: what is known of the rule's probability.
         error_is_small: whether fresh simulations have shown the error that the rule allows.
     """
     after = f"met after {history.asked_for} simulations: "
-    match settings.stop:
+    match campaign.settings.stop:
         case ErrorStop(error=error, confidence=confidence) if error_is_small:
             return (
-                f"{after}the error at the {settings.acquisition.main_boundary} boundary is at most {100 * error:g} %, "
-                f"with {100 * confidence:g} % confidence over all looks"
+                f"{after}the error at the {campaign.settings.acquisition.main_boundary} boundary is at most "
+                f"{100 * error:g} %, with {100 * confidence:g} % confidence over all looks"
             )
         case ProbabilityStop(probability=outcome) if looks.is_known:
             return (

@@ -188,7 +188,7 @@ BROKEN = [
         "simulator.outcomes: must have at most 3 entries, got ['a', 'b', 'c', 'd']",
     ),
     ("space.mu = [0.1, 0.2]", "space.mu: must be a table of keys and values, got [0.1, 0.2]"),
-    ("stop = 0.05", "stop: must be a table with `error` or a table with `probability`, got 0.05"),
+    ("stop = 0.05", "stop: must be a table with `error` or a table with "),
     ('simulator.python = "a:b"', "space: required with a custom simulator"),
     ("sampling = {initial = 100, budget = 50}", "sampling: `initial <= budget` must hold, got 100 and 50"),
     ("space.mu = {low = 0.2, high = 0.1}", "space.mu: `low < high` must hold, got 0.2 and 0.1"),
