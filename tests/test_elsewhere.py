@@ -536,7 +536,15 @@ def test_an_infinite_margin_is_warned_of(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
         number = int(run.ask(1, beyond=True)["id"].iloc[0])
         with pytest.warns(UserWarning, match="row 0: g is inf; no boundary can be learned from it"):
-            run.tell({"id": number, "g": np.inf})
+            run.tell({"id": number, "g": np.inf, "outcome": "safe"})
+
+
+def test_an_infinite_margin_alone_is_refused(folder: Path) -> None:
+    with (
+        af.open_run(folder, write=True) as run,
+        pytest.raises(InputError, match="the margin g is inf; without an outcome it must be a finite number"),
+    ):
+        run.tell({"id": int(run.in_flight["id"].iloc[0]), "g": np.inf})
 
 
 def test_an_asynchronous_campaign_goes_on_by_hand(tmp_path: Path) -> None:
