@@ -20,7 +20,7 @@ _SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
 _IN_FILE = re.compile(r"(?<!\$)\{\{[^\W\d]\w*\}\}|(?<!\$)\{([^\W\d]\w*)(?::([^{}]*))?\}")
 """A placeholder in an input file, where all other braces and `${name}` stay; `{{name}}` stays as `{name}`."""
 
-_OF_CODE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{AF_HERE\})[\"']?/([^\s'\"]+)")
+_OF_CODE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{\{AF_HERE\}\})[\"']?/([^\s'\"]+)")
 """A file of the code's folder in a command."""
 
 

@@ -667,7 +667,7 @@ def test_a_program_s_files_are_in_the_digest_of_its_code(tmp_path: Path) -> None
     (tmp_path / "parts").mkdir()
     for name in ("parts/model.tcl.in", "start.py", "part.py", "note", "binary"):
         (tmp_path / name).write_text("import part\nx = 1 # {drift}" if name == "start.py" else "g = 1 # {drift}")
-    command = "sh -c 'python3 {here}/start.py && \"$AF_HERE\"/binary'"
+    command = "sh -c 'python3 {here}/start.py && ${{AF_HERE}}/binary'"
     before = made(tmp_path, copies=("parts",), command=command).digest()
     for name, decides in {"note": False, "start.py": True, "part.py": True, "binary": True, "parts/b": True}.items():
         kept = (tmp_path / name).read_text() if (tmp_path / name).exists() else None
