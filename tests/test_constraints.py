@@ -71,7 +71,9 @@ def test_every_sample_has_feasible_designs_alone(campaign: Campaign) -> None:
 def test_simulations_and_probabilities_are_those_of_feasible_designs(folder: Path) -> None:
     with open_run(folder / "run", write=True, code=folder) as run:
         assert (run.simulations["outcome"] != "numerical_failure").all()
-        estimate = run.probability().estimate
+        findings = run.probability()
+        assert any("Only designs that meet the constraints count, 40.5 %" in note for note in findings.assumptions)
+        estimate = findings.estimate
         assert estimate.low <= truth() <= estimate.high
         at = run.probability(fixed={"depth": 0.74}).estimate
         assert at.low <= truth(0.74) <= at.high

@@ -314,8 +314,8 @@ def hazard_question(
                 f"{open_ones[0]}: requires a value, because the hazard is a table of pulses. Give it with --fixed."
             )
         values = {**fixed, **certain}
-        return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))
+        return Question(hazard.title, space.names, pulses, values, factors, stated=tuple(hazard.assumptions))
     changed = {parameter.name: parameter for parameter in pulses.parameters}
     correlation = [pair for pair in space.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
     question = asked_of(hazard.title, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
-    return replace(question, factors=factors, assumptions=(*hazard.assumptions, *question.assumptions))
+    return replace(question, factors=factors, stated=(*hazard.assumptions, *question.stated))

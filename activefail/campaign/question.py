@@ -17,7 +17,7 @@ from activefail.campaign.sections import FixedVariable, QuestionSettings, Variab
 from activefail.campaign.settings import read_toml
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
-from activefail.shares import percent
+from activefail.shares import feasible_share, percent
 from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
@@ -53,7 +53,7 @@ class Question:
         factors: factors on variables, applied last, such as a bound on friction.
         draw: number of an independent sample of fresh simulations.
         is_own: whether this is the campaign's own design measure.
-        assumptions: what the distribution assumes or leaves out, as sentences.
+        stated: what the distribution assumes or leaves out besides constraints, as sentences.
     """
 
     title: str
@@ -63,7 +63,15 @@ class Question:
     factors: Mapping[str, float] = field(default_factory=dict)
     draw: int = 0
     is_own: bool = False
-    assumptions: tuple[str, ...] = ()
+    stated: tuple[str, ...] = ()
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the distribution assumes or leaves out, as sentences."""
+        if isinstance(self.space, WeightedRows) or not self.space.constraints:
+            return self.stated
+        of = f"Only designs that meet the constraints count, {feasible_share(self.space)} of the variables' distribution."
+        return (*self.stated, of)
 
     @property
     def is_of_campaign(self) -> bool:
@@ -118,7 +126,7 @@ class Question:
         for name, value in values.items():
             if name in space.names:
                 space = space.holding(name, value)
-        return replace(self, space=space, fixed=fixed, is_own=False, assumptions=(*self.assumptions, *notes))
+        return replace(self, space=space, fixed=fixed, is_own=False, stated=(*self.stated, *notes))
 
     @property
     def has_designs(self) -> bool:
@@ -324,7 +332,7 @@ def asked_of(
     check_constraints(space, fixed, uncertain)
     open_ones = tuple(one for one in space.constraints if not one.names.isdisjoint(uncertain))
     distribution = DesignSpace(parameters, {**space.fixed, **fixed}, kept, open_ones)
-    return Question(title, space.names, distribution, dict(fixed), assumptions=notes)
+    return Question(title, space.names, distribution, dict(fixed), stated=notes)
 
 
 def check_constraints(
