@@ -70,8 +70,8 @@ class Question:
         """What the distribution assumes or leaves out, as sentences."""
         if isinstance(self.space, WeightedRows) or not self.space.constraints:
             return self.stated
-        of = f"Only designs that meet the constraints count, {feasible_share(self.space)} of the variables' distribution."
-        return (*self.stated, of)
+        share = feasible_share(self.space)
+        return (*self.stated, f"Only designs that meet the constraints count, {share} of the variables' distribution.")
 
     @property
     def is_of_campaign(self) -> bool:
