@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 VERSION = 1
-"""Of the keys that docs/reference/json.md and docs/records.md describe."""
+"""Of the keys that docs/reference/json.md describes."""
 
 
 def json_text(values: Mapping[str, object]) -> str:

@@ -24,7 +24,7 @@ Every command with an example, its arguments and its options, as `activefail COM
 ## In many commands
 
 Every command takes `-q` (`--quiet`) and `-v` (`--verbose`), which show [less or
-more](../guide.md#quiet-verbose-completion).
+more](../guide.md#campaigns).
 
 """
 

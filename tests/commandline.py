@@ -76,11 +76,10 @@ _BY_NAME |= {"record_factor", "statistics", "targets", "uncertainty", "values", 
 
 
 def _check_documented(command: str, printed: dict[str, object]) -> None:
-    """Assert that the page on JSON, or for `ida` that on records, has every key that a command prints."""
+    """Assert that the page on JSON has every key that a command prints."""
     assert printed["version"] == 1
-    pages = TESTS.parent / "docs"
-    text = (pages / "reference" / "json.md").read_text(encoding="utf-8").partition(f"\n## {command}\n")[2]
-    text = (pages / "records.md").read_text(encoding="utf-8") if command == "ida" else text.partition("\n## ")[0]
+    page = TESTS.parent / "docs" / "reference" / "json.md"
+    text = page.read_text(encoding="utf-8").partition(f"\n## {command}\n")[2].partition("\n## ")[0]
 
     def undocumented(value: object, by_name: bool = False) -> set[str]:
         if isinstance(value, list):
