@@ -23,6 +23,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "activefail needs Python 3.11 or newer; name one with make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	@if [ "$$(uname)" = Linux ] && $(PIP) --dry-run --no-deps torch 2>/dev/null | grep -q 'torch-[0-9.]*$$'; then echo "pip found no CPU build of torch: the default build is coming, several GB with CUDA. To avoid it, press Ctrl-C and see README.md, Installation."; fi
+	@echo "Installing into $(VENV): some minutes the first time, and 3 GB of disk."
 	$(PIP) --quiet --editable '.[dev]' || { echo "Installing failed; see README.md, Installation."; exit 1; }
 	@touch $@
 
