@@ -1,4 +1,4 @@
-"""Draw the README's pictures: `python docs/images/draw.py`."""
+"""Draw the pictures of the first tutorial: `python docs/images/draw.py`."""
 
 from pathlib import Path
 
