@@ -17,7 +17,8 @@ import numpy as np
 
 from activefail.errors import InputError
 from activefail.files import replacing, target_of
-from activefail.space import Array
+from activefail.parameter import Parameter
+from activefail.space import Array, DesignSpace
 
 ROWS_AT_ONCE = 2048
 
@@ -224,6 +225,34 @@ class Table:
             raise self.broken(row, name, "must be a finite number", self.cell(row, name))
         return number
 
+    def value(self, row: int, of: Parameter) -> float:
+        """A variable's cell as a finite number, that of the choice if it has choices.
+
+        Raises:
+            InputError: if it is not a finite number, or no choice.
+        """
+        if not of.choices:
+            return self.finite(row, of.name)
+        cell = self.cell(row, of.name)
+        try:
+            return of.number_of(cell)
+        except ValueError as rule:
+            raise self.broken(row, of.name, str(rule), cell) from None
+
+    def designs(self, space: DesignSpace) -> Array:
+        """The designs in columns, (rows, d).
+
+        Raises:
+            InputError: if a column is missing, or a cell is no finite number or choice.
+        """
+        self.require(space.names)
+        X = np.empty((len(self.rows), space.dimension))
+        of_choices = [bool(one.choices) for one in space.parameters]
+        for column in np.flatnonzero(of_choices):
+            X[:, column] = [self.value(row, space.parameters[column]) for row in range(len(self.rows))]
+        X[:, np.logical_not(of_choices)] = self.numbers([one.name for one in space.parameters if not one.choices])
+        return X
+
     def numbers(self, names: Sequence[str]) -> Array:
         """The finite numbers in columns, (rows, names), such as the designs of a table.
 
@@ -274,22 +303,22 @@ class DesignTable:
     Attributes:
         source: where it can be read again.
         header: names of all columns.
-        names: names of a design's columns, in order.
+        space: whose designs they are.
         rows: number of rows.
     """
 
     source: Kept
     header: tuple[str, ...]
-    names: tuple[str, ...]
+    space: DesignSpace
     rows: int
 
     @classmethod
-    def checked(cls, source: Kept, names: Sequence[str], adds: Sequence[str], check: Check) -> "DesignTable":
-        """Read the whole table once and check each cell of the named columns.
+    def checked(cls, source: Kept, space: DesignSpace, adds: Sequence[str], check: Check) -> "DesignTable":
+        """Read the whole table once and check each cell of a design.
 
         Args:
             source: the table (see `rereadable`).
-            names: names of a design's columns, in order.
+            space: whose designs they are.
             adds: output columns, which the table must not contain.
             check: a rule for each design, in addition to finite numbers.
 
@@ -298,7 +327,7 @@ class DesignTable:
         """
         rows = 0
         for part in parts_of(source, ROWS_AT_ONCE):
-            X = part.numbers(names)
+            X = part.designs(space)
             for name in adds:
                 if name in part.columns:
                     raise InputError(
@@ -308,13 +337,13 @@ class DesignTable:
                 if problem := check(design):
                     raise InputError(f"{place}, {problem}.")
             rows += len(part.rows)
-        return cls(source, part.columns, tuple(names), rows)
+        return cls(source, part.columns, space, rows)
 
     def chunks(self) -> Iterator[tuple[list[list[str]], Array]]:
         """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
         for part in parts_of(self.source, ROWS_AT_ONCE):
             if part.rows:
-                yield part.rows, part.numbers(self.names)
+                yield part.rows, part.designs(self.space)
 
 
 def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:

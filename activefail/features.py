@@ -2,12 +2,11 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,9 @@ from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
-from activefail.expressions import parse_expression
+from activefail.expressions import Expression, parse_expression, parsed_name
 from activefail.names import FeatureSet
+from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
@@ -91,7 +91,7 @@ class FeatureMap:
             if len(bad):
                 raise InputError(
                     f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
-                    f"for {dict(zip(self.space.names, X[bad[0]].tolist(), strict=True))}."
+                    f"for {self.space.written(dict(zip(self.space.names, X[bad[0]].tolist(), strict=True)))}."
                 )
             if np.ptp(F[:, column]) == 0.0:
                 raise InputError(
@@ -210,7 +210,8 @@ def _mapped(
 ) -> FeatureMap:
     match features:
         case "design":
-            return _scaled(space.names, np.asarray, space, _logarithms(space))
+            names = tuple(name for parameter in space.parameters for name in _names_of(parameter))
+            return _scaled(names, lambda X: variable_columns(space, X), space, _logarithms(space))
         case "decorrelated":
             return _decorrelated(space)
         case "paper":
@@ -265,11 +266,13 @@ def _decorrelated(space: DesignSpace) -> FeatureMap:
         return design
     from scipy.linalg import solve_triangular
 
-    L = space.factor
+    # Columns of one variable's choices are not correlated with each other, nor with other variables.
+    of = np.repeat(np.arange(space.dimension), [len(_names_of(parameter)) for parameter in space.parameters])
+    L = np.where((of[:, None] == of) & ~np.eye(len(of), dtype=bool), 0.0, space.factor[np.ix_(of, of)])
 
     names = tuple(
-        f"{name}_given_{'_'.join(space.names[j] for j in np.flatnonzero(L[i, :i]))}" if L[i, :i].any() else name
-        for i, name in enumerate(space.names)
+        f"{name}_given_{'_'.join(design.names[j] for j in np.flatnonzero(L[i, :i]))}" if L[i, :i].any() else name
+        for i, name in enumerate(design.names)
     )
     return _scaled(names, lambda X: solve_triangular(L, design(X).T, lower=True).T, space)
 
@@ -287,9 +290,23 @@ def _joined(
         return _scaled(names, further, space)
 
     def raw(X: Array) -> Array:
-        return np.column_stack([X, further(X)])
+        return np.column_stack([variable_columns(space, X), further(X)])
 
-    return _scaled((*space.names, *names), raw, space, _logarithms(space))
+    return _scaled((*_mapped("design", space, None).names, *names), raw, space, _logarithms(space))
+
+
+def _names_of(parameter: Parameter) -> tuple[str, ...]:
+    """The names of a variable's features: of choices, one for each, or for the second of two."""
+    choices = parameter.choices[len(parameter.choices) == 2 :]
+    return tuple(f"{parameter.name}={choice}" for choice in choices) if choices else (parameter.name,)
+
+
+def variable_columns(space: DesignSpace, X: Array) -> Array:
+    """The variables of designs, (n, d), as features, (n, m): choices as 0 and 1, one column for each."""
+    if not any(parameter.choices for parameter in space.parameters):
+        return np.asarray(X)
+    pairs = zip(space.parameters, np.asarray(X).T, strict=True)
+    return np.column_stack([p.indicators(x) if p.choices else x for p, x in pairs])
 
 
 def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
@@ -318,31 +335,29 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
 
 def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
     known = (*space.names, *space.fixed)
-    expressions = []
+    expressions: list[Expression] = []
     for name, text in features.expressions.items():
         if name in known:
             raise InputError(f"classifier.features.expressions.{name}: must not have the name of another quantity.")
         try:
             expressions.append(parse_expression(text, known))
+            if texts := expressions[-1].names & {*map(parsed_name, space.texts)}:
+                raise ValueError(f"{min(texts)!r} has texts as choices, which no expression takes; in {text!r}")
         except ValueError as error:
             raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
 
-    def values(variables: Sequence[Any]) -> list[Any]:
-        quantities = dict(zip(known, space.pick(variables, known), strict=True))
-        return [expression(quantities) for expression in expressions]
-
     def further(X: Array) -> Array:
-        X = np.asarray(X, dtype=np.float64)
+        quantities = space.quantities(dict(zip(space.names, np.asarray(X, dtype=np.float64).T, strict=True)))
         with np.errstate(all="ignore"):  # `scaling` reports values that are not finite
-            return np.column_stack([np.broadcast_to(column, len(X)) for column in values(list(X.T))])
+            return np.column_stack([np.broadcast_to(one(quantities), len(X)) for one in expressions])
 
     return _joined(tuple(features.expressions), further, space, features.variables)
 
 
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
-    """Whether each variable enters as its logarithm."""
+    """Whether each variable, or each of its columns, enters as its logarithm."""
     names = ("log_uniform", "lognormal")
-    return tuple(parameter.distribution in names and parameter.low > 0.0 for parameter in space.parameters)
+    return tuple(p.distribution in names and p.low > 0.0 for p in space.parameters for _ in _names_of(p))
 
 
 def _scaled(

@@ -1,10 +1,13 @@
-"""One variable of the design space: its name, range, distribution and unit, and its values if it has a step."""
+"""One variable of the design space: its name, distribution and unit, and its values if it has a step or choices."""
 
+import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +74,51 @@ def step_fault(low: float, high: float, step: float, distribution: Distribution)
     return ""
 
 
+Choice = str | int | float
+"""A value of a variable with choices, as the campaign file has it."""
+
+
+def exact(value: Choice) -> str:
+    """A value as text with all digits."""
+    return value if isinstance(value, str) else repr(value)
+
+
+_MOST_CHOICES = 100
+"""Most choices: each is a feature of the classifier."""
+
+_LABEL = re.compile(r"""[^\W_](?:[^"'`\\$;|&<>*?!{}]*[^"'`\\$;|&<>*?!{}\s])?""")
+"""A text among choices. Spreadsheets, shells and templates take it for nothing else."""
+
+
+def choices_fault(choices: Sequence[Choice], probabilities: Sequence[float]) -> str:
+    """Why choices and their probabilities, if there are any, do not define a variable; empty if they do."""
+    listed = list(choices)
+    if not 2 <= len(listed) <= _MOST_CHOICES:
+        return f"`choices` must have 2 to {_MOST_CHOICES} entries, got {listed}"
+    if len({isinstance(one, str) for one in listed}) > 1:
+        return f"`choices` must be texts or numbers, not both, got {listed}"
+    for one in listed:
+        if listed.count(one) > 1:
+            return f"`choices` must differ from each other, got {one!r} twice"
+        if isinstance(one, str) and not (_LABEL.fullmatch(one) and one.isprintable()):
+            return (
+                "a text in `choices` must begin with a letter or digit, and contain neither quotes nor any of "
+                f"\\$;|&<>*?!{{}} nor a space at its end, got {one!r}"
+            )
+    if not probabilities:
+        return ""
+    if len(probabilities) != len(listed):
+        return f"`probabilities` must have one number for each of {len(listed)} choices, got {list(probabilities)}"
+    if min(probabilities) <= 0.0 or abs(math.fsum(probabilities) - 1.0) > _SUM:
+        total = math.fsum(probabilities)
+        return f"`probabilities` must be positive with the sum 1, got {list(probabilities)} with the sum {total:.6g}"
+    return ""
+
+
+_SUM = 1e-6
+"""Largest distance of the sum of probabilities from 1."""
+
+
 def _masses(
     distribution: Distribution, low: float, high: float, mean: float, sd: float | None
 ) -> tuple[float, float, float]:
@@ -107,6 +155,9 @@ class Parameter:
     it: of the named distribution between half a step below `low` and half a step above `high`, or of a beta
     distribution between the bounds.
 
+    With choices, which have no order, the values are their numbers 0, 1, ..., so that designs are arrays. `written` and
+    `number_of` lead to the choices and back, at every place where people or simulators see them.
+
     Attributes:
         name: an identifier.
         low, high: bounds, in the unit.
@@ -115,6 +166,8 @@ class Parameter:
         mean, sd: mean and standard deviation of the unbounded distribution, or of a beta distribution; None for uniform
             and log-uniform variables. The sd of an exponential variable is None.
         step: distance of the values, in the unit; None if the variable is continuous.
+        choices: texts or numbers; empty for other variables.
+        probabilities: of the choices.
 
     Raises:
         InputError: if the name is not an identifier or the numbers do not define a distribution.
@@ -128,6 +181,22 @@ class Parameter:
     mean: float | None = None
     sd: float | None = None
     step: float | None = field(default=None, repr=False)  # questions are identified by what is shown of variables
+    choices: tuple[Choice, ...] = field(default=(), repr=False)
+    probabilities: tuple[float, ...] = field(default=(), repr=False)
+
+    @classmethod
+    def of_choices(
+        cls, name: str, choices: Sequence[Choice], probabilities: Sequence[float] = (), unit: str = ""
+    ) -> "Parameter":
+        """A variable with choices, equally probable unless probabilities are given.
+
+        Raises:
+            InputError: if they break a rule.
+        """
+        if fault := choices_fault(choices, probabilities):
+            raise InputError(f"The variable {name!r}: {fault}.")
+        shares = tuple(probabilities) or (1.0 / len(choices),) * len(choices)
+        return cls(name, 0.0, len(choices) - 1.0, unit, step=1.0, choices=tuple(choices), probabilities=shares)
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -148,8 +217,8 @@ class Parameter:
 
     @cached_property
     def continuous(self) -> "Parameter":
-        """The variable before it is rounded to its step; itself without one."""
-        if self.step is None:
+        """The variable before it is rounded to its step; itself without one, or with choices."""
+        if self.step is None or self.choices:
             return self
         if self.distribution == "beta":
             return replace(self, step=None)
@@ -157,9 +226,55 @@ class Parameter:
         return replace(self, low=max(low, 0.0) if self.distribution in POSITIVE else low, high=high, step=None)
 
     @property
+    def _is_rounded(self) -> bool:
+        return self.step is not None and not self.choices
+
+    @property
     def is_whole(self) -> bool:
         """Whether all values are whole numbers."""
-        return self.step is not None and float(self.low).is_integer() and float(self.step).is_integer()
+        is_whole = self.step is not None and float(self.low).is_integer() and float(self.step).is_integer()
+        return is_whole and not self.choices
+
+    @property
+    def has_texts(self) -> bool:
+        """Whether the choices are texts."""
+        return bool(self.choices) and isinstance(self.choices[0], str)
+
+    def column(self, x: Array) -> NDArray[Any]:
+        """Values, (n,), as people and simulators see them: choices, whole numbers as integers, or the values."""
+        if self.choices:
+            choices = np.array(self.choices, dtype=object if self.has_texts else None)
+            return np.asarray(choices[np.asarray(x).astype(int)])
+        return np.rint(x).astype(np.int64) if self.is_whole and self.on_grid(x).all() else x
+
+    def written(self, x: float) -> Choice:
+        """A value as people and simulators see it (see `column`)."""
+        (written,) = self.column(np.array([x])).tolist()
+        return written  # type: ignore[no-any-return]
+
+    def number_of(self, value: object) -> float:
+        """The number of a choice, the inverse of `written`.
+
+        Raises:
+            ValueError: if it is no choice; the text is the rule.
+        """
+        choices: list[Choice] = list(self.choices)
+        try:
+            # A table may hold the text 1 as a number, or the number 1 as a text.
+            return float(choices.index(str(value).strip() if self.has_texts else float(str(value))))
+        except ValueError:
+            raise ValueError(self.rule) from None
+
+    def quantities(self, x: Any) -> Any:
+        """Values of any shape as expressions and formulas take them: numbers among choices; other values stay."""
+        if not self.choices or self.has_texts:
+            return x
+        return np.asarray(np.array(self.choices, dtype=np.float64)[np.asarray(x).astype(int)])
+
+    def indicators(self, x: Array) -> Array:
+        """Which choice each value is, (n,) -> (n, k), as 0 and 1; of two choices the second, (n, 1)."""
+        which = np.asarray(x).astype(int)
+        return np.asarray(np.eye(len(self.choices))[which, len(self.choices) == 2 :])
 
     def rounded(self, x: Array | float) -> Array:
         """Values of any shape, each as the nearest value of the variable; unchanged if it is continuous."""
@@ -187,8 +302,15 @@ class Parameter:
     @property
     def rule(self) -> str:
         """Which values the variable can have, for messages."""
+        if self.choices:
+            return f"must be one of {', '.join(map(str, self.choices))}"
         steps = "" if self.step is None else f" in steps of {self.step:g}"
-        return f"`{self.low:g} <= {self.name} <= {self.high:g}`{steps}"
+        return f"`{self.low:g} <= {self.name} <= {self.high:g}`{steps} must hold"
+
+    @cached_property
+    def _shares_below(self) -> Array:
+        """The probability of all choices before each, and of all, (k + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.probabilities[:-1]), [1.0]])
 
     @property
     def _moments(self) -> tuple[float, float]:
@@ -214,7 +336,9 @@ class Parameter:
     def quantile(self, u: Array | float) -> Array:
         """Quantiles of the distribution at probabilities u of any shape."""
         u = np.asarray(u)
-        if self.step is not None:
+        if self.choices:
+            return np.searchsorted(self._shares_below[1:-1], u, side="right").astype(np.float64)
+        if self._is_rounded:
             return self.rounded(self.continuous.quantile(u))
         match self.distribution:
             case "uniform":
@@ -232,8 +356,10 @@ class Parameter:
     def share(self, x: Array) -> Array:
         """The distribution function at values x of any shape, the inverse of `quantile`.
 
-        With a step, the middle of the probabilities that are rounded to x.
+        With a step, the middle of the probabilities that are rounded to x. With choices, the middle of that of x.
         """
+        if self.choices:
+            return np.interp(x, self.values, 0.5 * (self._shares_below[:-1] + self._shares_below[1:]))
         if self.step is not None:
             of, half = self.continuous, 0.5 * self.step
             ends = [of.share(np.clip(np.asarray(x) + side, of.low, of.high)) for side in (-half, half)]
@@ -263,7 +389,7 @@ class Parameter:
         """The variable's values at standard normal values z of any shape: F⁻¹(Φ(z)), accurate in both tails."""
         from scipy.special import ndtr
 
-        if self.step is not None:
+        if self._is_rounded:
             return self.rounded(self.continuous.from_normal(z))
         if self.distribution in ("uniform", "log_uniform"):
             return self.quantile(ndtr(z))
@@ -287,7 +413,7 @@ class Parameter:
         The middle of a truncated normal is its mean before truncation. A log-uniform variable enters as its logarithm,
         and a variable whose bounds are left out as its standard normal value.
         """
-        if self.step is not None:
+        if self._is_rounded:
             return self.continuous.standardised(x)
         if self.distribution in ("truncated_normal", "normal"):
             mean, sd = self._moments
@@ -305,7 +431,7 @@ class Parameter:
             x: values.
             factor: factor of the standard deviation.
         """
-        if self.step is not None:
+        if self._is_rounded:
             return self.rounded(self.continuous.widened(x, factor))
         if self.distribution in ("truncated_normal", "normal"):
             mean, _ = self._moments

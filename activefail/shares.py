@@ -2,6 +2,7 @@
 
 import math
 
+from activefail.parameter import Parameter
 from activefail.space import DesignSpace
 
 
@@ -48,6 +49,12 @@ def bounds_percent(low: float, high: float) -> str:
 def interval_percent(low: float, high: float, digits: int = 2) -> str:
     """An interval of a share, like "0.3 to 3.3 %"."""
     return f"{percent(low, digits).removesuffix(' %')} to {percent(high, digits)}"
+
+
+def choices_with_shares(parameter: Parameter) -> str:
+    """The choices of a variable with their probabilities."""
+    shares = zip(parameter.choices, parameter.probabilities, strict=True)
+    return ", ".join(f"{choice} ({percent(share)})" for choice, share in shares)
 
 
 def feasible_share(space: DesignSpace) -> str:

@@ -142,6 +142,11 @@ class DesignSpace:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
+    def texts(self) -> tuple[str, ...]:
+        """Names of the variables whose choices are texts."""
+        return tuple(parameter.name for parameter in self.parameters if parameter.has_texts)
+
+    @property
     def dimension(self) -> int:
         """Number of variables d."""
         return len(self.parameters)
@@ -207,11 +212,26 @@ class DesignSpace:
         """The space of the other variables, where this one has a value."""
         kept = tuple(parameter for parameter in self.parameters if parameter.name != name)
         pairs = tuple(pair for pair in self.correlation if name not in pair[:2])
-        return DesignSpace(kept, {**self.fixed, name: value}, pairs, self.constraints)
+        return DesignSpace(kept, self.quantities({name: value}), pairs, self.constraints)
+
+    def quantities(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values of variables by name, as expressions and formulas take them, with the fixed quantities."""
+        variables = {parameter.name: parameter for parameter in self.parameters}
+        taken = {name: variables[name].quantities(x) if name in variables else x for name, x in values.items()}
+        return {**taken, **self.fixed}
+
+    def written(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Values of variables by name, as people see them: choices, and whole numbers as integers."""
+        variables = {parameter.name: parameter for parameter in self.parameters}
+        return {name: variables[name].written(x) if name in variables else x for name, x in values.items()}
+
+    def row(self, x: Array) -> list[Any]:
+        """A design, (d,), as people see it (see `written`)."""
+        return [*self.written(dict(zip(self.names, np.asarray(x).tolist(), strict=True))).values()]
 
     def meets_constraints(self, X: Array) -> NDArray[np.bool_]:
         """Which designs, (n, d), meet all constraints, (n,)."""
-        quantities = {**dict(zip(self.names, np.asarray(X).T, strict=True)), **self.fixed}
+        quantities = self.quantities(dict(zip(self.names, np.asarray(X).T, strict=True)))
         met = np.ones(len(X), dtype=bool)
         for constraint in self.constraints:
             met &= constraint.holds(quantities)
@@ -266,6 +286,19 @@ class DesignSpace:
         columns = [p.standardised(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
         return np.stack(columns, axis=1)
 
+    def positions(self, X: Array) -> Array:
+        """Designs, (n, d), as points whose distances say how different designs are; choices are equally far apart."""
+        pairs = zip(self.parameters, np.asarray(X).T, strict=True)
+        return np.column_stack([p.indicators(x) if p.choices else p.standardised(x) for p, x in pairs])
+
+    def swapped(self, X: Array, share: float, rng: np.random.Generator) -> Array:
+        """Designs, (n, d), with a share of all choices drawn again."""
+        is_choice = np.array([bool(parameter.choices) for parameter in self.parameters])
+        if not is_choice.any():
+            return X
+        drawn = self.from_unit(rng.random(X.shape))
+        return np.where(is_choice & (rng.random(X.shape) < share), drawn, X)
+
     def widened(self, X: Array, factor: float) -> Array:
         """Designs, shape (n, d), with the normal variables stretched by `factor` (see Parameter.widened)."""
         columns = [p.widened(x, factor) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
@@ -277,17 +310,19 @@ class DesignSpace:
         return np.asarray(np.all(contained, axis=0)) & self.meets_constraints(X)
 
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
-        """The variables of designs, (n, d), by name, (n,) each; whole numbers are integers."""
+        """The variables of designs, (n, d), by name, (n,) each, as people see them (see Parameter.column)."""
         columns = np.reshape(X, (-1, self.dimension)).T
-        return {
-            p.name: np.rint(x).astype(np.int64) if p.is_whole and p.on_grid(x).all() else x
-            for p, x in zip(self.parameters, columns, strict=True)
-        }
+        return {p.name: p.column(x) for p, x in zip(self.parameters, columns, strict=True)}
 
     def rounded(self, X: Array) -> Array:
         """Designs, (n, d), whose values are those of variables with steps, where they differ by rounding alone."""
         columns = zip(self.parameters, np.asarray(X).T, strict=True)
         return np.stack([np.where(p.contains(x), p.rounded(x), x) for p, x in columns], axis=-1)
+
+    def nearest(self, X: Array) -> Array:
+        """Designs, (n, d), with the nearest of the values of variables with steps or choices."""
+        columns = zip(self.parameters, np.asarray(X).T, strict=True)
+        return np.stack([one.rounded(x) for one, x in columns], axis=-1)
 
     @cached_property
     def design_count(self) -> float:
@@ -330,10 +365,12 @@ class DesignSpace:
         Raises:
             InputError: if a name is neither a variable nor a fixed quantity of this space.
         """
-        known: dict[str, Any] = {**dict(zip(self.names, columns, strict=True)), **self.fixed}
+        known = self.quantities(dict(zip(self.names, columns, strict=True)))
         for name in names:
             if name not in known:
                 raise InputError(f"space: lacks the variable {name!r}; its variables are {', '.join(known)}.")
+            if name in self.texts:
+                raise InputError(f"space.{name}: must have numbers here, but has texts as choices.")
         return [known[name] for name in names]
 
     def table(self, X: Array, names: Sequence[str]) -> Array:
@@ -361,6 +398,7 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
     Raises:
         InputError: naming the entry of `correlation`.
     """
+    choices = {parameter.name for parameter in parameters if parameter.choices}
     parameters = [parameter.continuous for parameter in parameters]
     names = [parameter.name for parameter in parameters]
     R, pairs = np.eye(len(names)), list[set[str]]()
@@ -369,6 +407,8 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
         for name in (one, other):
             if name not in names:
                 raise InputError(f"{entry}: {name!r} is not a variable; the variables are {', '.join(names)}.")
+            if name in choices:
+                raise InputError(f"{entry}: {name!r} has choices, which have no order and so no correlation.")
         i, j = names.index(one), names.index(other)
         if i == j:
             raise InputError(f"{entry}: names {one!r} twice.")

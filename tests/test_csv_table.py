@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from activefail.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, harmless, rereadable, writing
 from activefail.errors import InputError
-from activefail.space import Array
+from activefail.parameter import Parameter
+from activefail.space import Array, DesignSpace
 
-NAMES = ("a", "b")
+SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
 
 
 def ordered(design: Array) -> str | None:
@@ -30,7 +31,7 @@ def table(tmp_path: Path) -> Callable[[str | bytes], DesignTable]:
     def checked(content: str | bytes) -> DesignTable:
         path = tmp_path / "in.csv"
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return DesignTable.checked(Kept(path, str(path)), NAMES, ("answer",), ordered)
+        return DesignTable.checked(Kept(path, str(path)), SPACE, ("answer",), ordered)
 
     return checked
 
@@ -78,7 +79,7 @@ def test_a_bad_table_is_refused_with_its_name_and_the_place_rule_and_value_of_th
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for path, reason in ((tmp_path / "none.csv", "No such file or directory"), (tmp_path, "Is a directory")):
         with pytest.raises(InputError) as refused:
-            DesignTable.checked(Kept(path, str(path)), NAMES, (), ordered)
+            DesignTable.checked(Kept(path, str(path)), SPACE, (), ordered)
         assert str(refused.value) == f"{path}: cannot be read: {reason}."
 
 
@@ -130,7 +131,7 @@ def test_a_long_table_comes_in_chunks_and_loses_no_row(table: Callable[[str | by
 def test_a_carriage_return_in_a_cell_stays_in_its_cell(tmp_path: Path) -> None:
     with writing(tmp_path / "out.csv", ["note", "a", "b"]) as write:
         write([["over\rtwo lines", "1", "2"]])
-    assert rows(DesignTable.checked(Kept(tmp_path / "out.csv", ""), NAMES, (), ordered))[0] == [
+    assert rows(DesignTable.checked(Kept(tmp_path / "out.csv", ""), SPACE, (), ordered))[0] == [
         ["over\rtwo lines", "1", "2"]
     ]
 
@@ -149,7 +150,7 @@ def test_what_is_written_is_read_again_to_the_last_bit(
     given = [[note, repr(a), other, repr(b)] for note, a, other, b in texts]
     with writing(path, ["note", "a", "other", "b"]) as write:
         write(given)
-    repeated = DesignTable.checked(Kept(path, str(path)), NAMES, (), ordered)
+    repeated = DesignTable.checked(Kept(path, str(path)), SPACE, (), ordered)
     kept = [[harmless(note), a, harmless(other), b] for note, a, other, b in given]
     assert rows(repeated) == (kept, [[a, b] for _, a, _, b in texts])
 
@@ -239,7 +240,7 @@ class Pipe(io.BytesIO):
 def test_a_stream_is_read_once_and_gives_the_table_of_the_file(table: Callable[[str | bytes], DesignTable]) -> None:
     content = "a,note,b\n" + "".join(f"{i},x{i},{i + 1}\n" for i in range(ROWS_AT_ONCE + 1))
     with rereadable(Pipe(content.encode())) as kept:
-        of_stream = DesignTable.checked(kept, NAMES, ("answer",), ordered)
+        of_stream = DesignTable.checked(kept, SPACE, ("answer",), ordered)
         of_file = table(content)
         assert (of_stream.header, of_stream.rows) == (of_file.header, of_file.rows)
         assert rows(of_stream) == rows(of_stream) == rows(of_file)
@@ -253,7 +254,7 @@ def test_a_bad_stream_is_refused_by_its_name(name: str, tmp_path: Path, monkeypa
     elif name == "b.csv":
         name = stream.name = str(tmp_path / name)
     with rereadable(stream) as kept, pytest.raises(InputError) as refused:
-        DesignTable.checked(kept, NAMES, (), ordered)
+        DesignTable.checked(kept, SPACE, (), ordered)
     assert str(refused.value) == f"{name}: row 2 (line 3), column b: `a <= b` must hold, got 2."
 
 

@@ -36,6 +36,9 @@ LAZY_BLOCK = 64
 _REFINEMENTS = (0.05, 0.02, 0.008)
 """Standard deviations of the local searches around the best designs so far, in units of the variables' ranges."""
 
+_SWAPPED = 0.25
+"""Share of the choices that a local search draws again."""
+
 Answers = Callable[[Array], Array]
 """Scaled features, (n, m) -> probability of a result, (n,)."""
 
@@ -218,6 +221,7 @@ def _candidates_by_search(
         best = np.argsort(-of_pool, kind="stable")[:SHORTLIST]
         unit = space.to_unit(pool[best])
         moved = space.from_unit(np.clip(unit + spread * rng.standard_normal(unit.shape), 0.0, 1.0))
+        moved = space.swapped(moved, _SWAPPED, rng)
         moved = np.where(space.meets_constraints(moved)[:, None], moved, pool[best])
         of_moved = value(moved)
         # Each search replaces its own start, so that the shortlist stays spread over the whole boundary.

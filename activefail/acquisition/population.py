@@ -126,7 +126,8 @@ def finite(features: FeatureMap, X: Array) -> Array:
         row, column = np.argwhere(bad)[0]
         raise InputError(
             f"classifier.features: {features.names[column]} must be finite wherever designs may lie, got "
-            f"{F[row, column]} for {X[row].tolist()}. Exclude such designs with bounds or a larger sampling.reach."
+            f"{F[row, column]} for {features.space.row(X[row])}. Exclude such designs with bounds or a larger "
+            "sampling.reach."
         )
     return F
 

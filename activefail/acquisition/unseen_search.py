@@ -26,13 +26,13 @@ def search(space: DesignSpace, known: Array, first: int, q: int, rng: np.random.
         q: number of designs.
         rng: generator for the candidates.
     """
-    neighbours = space.standardised(known)
+    neighbours = space.positions(known)
     designs = []
     for number in range(first, first + q):
         drawn = space.sobol(_POOL, rng)
         wide = space.widened(drawn, WIDENINGS[number % len(WIDENINGS)])
         candidates = np.where(space.meets_constraints(wide)[:, None], wide, drawn)
-        Z = space.standardised(candidates)
+        Z = space.positions(candidates)
         distances = cdist(Z, neighbours).min(axis=1) if len(neighbours) else np.linalg.norm(Z, axis=1)
         best = int(np.argmax(distances))
         designs.append(candidates[best])

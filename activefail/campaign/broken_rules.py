@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from activefail.campaign.sections import KINDS, NAME, RANGE, WITH, FixedVariable, Variable, shown
+from activefail.campaign.sections import KINDS, NAME, NUMBER, RANGE, WITH, FixedVariable, Variable, shown
 
 
 def _key(name: str) -> str:
@@ -40,7 +40,7 @@ def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> st
     """The message for a key that the section at a path does not have."""
     match path:
         case [*_, "space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
-            return "a variable has either `low` and `high` or `value`"
+            return "a variable has `low` and `high`, `choices` or `value`"
         case [*_, "simulator" | "features" | "stop" as name, kind]:
             present = kind.removeprefix(WITH)
             for other, section in KINDS[name].items():
@@ -62,7 +62,7 @@ def broken_rule(settings: type[BaseModel], error: Any) -> str:
     # The last part of an unknown key's place is the user's, even if it reads like one of our tags.
     whole = error["loc"]
     places, last = (whole[:-1], whole[-1:]) if error["type"] == "extra_forbidden" else (whole, ())
-    parts = [part for part in places if part not in (NAME, RANGE) and not str(part).startswith(WITH)]
+    parts = [part for part in places if part not in (NAME, NUMBER, RANGE) and not str(part).startswith(WITH)]
     parts += last
     path = ".".join(_key(str(part)) for part in parts) or "the file"
     message = error["msg"].removeprefix("Value error, ")

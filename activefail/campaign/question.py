@@ -98,6 +98,11 @@ class Question:
         # Parts that older questions did not have are left out where they say nothing, so that digests stay.
         further_parts += [sorted(self.factors.items())] if self.factors else []
         further_parts += [self.draw] if self.draw else []
+        further_parts += (
+            [one.probabilities for one in self.space.parameters if one.choices]
+            if isinstance(self.space, DesignSpace)
+            else []
+        )
         return hashlib.sha256(repr((*defined, values, *further_parts)).encode()).hexdigest()
 
     def designs(self, X: Array) -> Array:
@@ -276,13 +281,26 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
         raise InputError(f"{argument}: must be values by name, or a path, got {type(given).__name__}.")
     check_names(given, space)
     for name, value in given.items():
-        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if not (is_number and -LARGEST <= value <= LARGEST):
-            raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
         one = space.parameters[space.names.index(name)]
-        if one.step is not None and not one.contains(value):
-            raise InputError(f"{name}: {one.rule} must hold, got {value:g}.")
-    return {name: float(value) for name, value in given.items()}
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not one.choices and not (is_number and -LARGEST <= value <= LARGEST):
+            raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
+        if one.step is not None and not one.choices and not one.contains(value):
+            raise InputError(f"{name}: {one.rule}, got {value:g}.")
+    return {name: _number_of(space, name, value, name) for name, value in given.items()}
+
+
+def _number_of(space: DesignSpace, name: str, value: Any, key: str) -> float:
+    """The number of a variable's value in a file or argument.
+
+    Raises:
+        InputError: if the variable has choices, and the value is none of them; naming the key.
+    """
+    one = next((one for one in space.parameters if one.name == name and one.choices), None)
+    try:
+        return float(value) if one is None else one.number_of(value)
+    except ValueError as rule:
+        raise InputError(f"{key}: {rule if one else 'must be a number'}, got {shown(value)}.") from None
 
 
 def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
@@ -331,7 +349,7 @@ def asked_of(
     notes = _left_out(correlation, fixed)
     check_constraints(space, fixed, uncertain)
     open_ones = tuple(one for one in space.constraints if not one.names.isdisjoint(uncertain))
-    distribution = DesignSpace(parameters, {**space.fixed, **fixed}, kept, open_ones)
+    distribution = DesignSpace(parameters, space.quantities(fixed), kept, open_ones)
     return Question(title, space.names, distribution, dict(fixed), stated=notes)
 
 
@@ -343,7 +361,7 @@ def check_constraints(
     Raises:
         InputError: naming the constraint.
     """
-    values = {**space.fixed, **fixed}
+    values = space.quantities(fixed)
     for constraint in space.constraints:
         if AMPLITUDE in constraint.names and PGV in {*uncertain, *fixed}:
             raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
@@ -406,7 +424,8 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
         _check_variable(name, entry, space)
     if PGV in section.space and AMPLITUDE in {*section.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
-    fixed = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)} | dict(
+    stated = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)}
+    fixed = {name: _number_of(space, name, value, f"space.{name}.value") for name, value in stated.items()} | dict(
         further
     )
     entries = {
@@ -433,6 +452,8 @@ def _in_steps(parameter: Parameter, space: DesignSpace, is_bounded: bool) -> Par
         InputError: if it has another step.
     """
     own = next((one for one in space.parameters if one.name == parameter.name), None)
+    if own is not None and (own.choices or parameter.choices):
+        return _with_choices_of(own, parameter)
     if own is None or (own.step is None and parameter.step is None):
         return parameter
     if is_bounded and not own.on_grid(np.array([parameter.low, parameter.high])).all():
@@ -449,6 +470,24 @@ def _in_steps(parameter: Parameter, space: DesignSpace, is_bounded: bool) -> Par
     return replace(parameter, low=float(first + below * step), high=float(first + above * step), step=own.step)
 
 
+def _with_choices_of(own: Parameter, parameter: Parameter) -> Parameter:
+    """A variable of a question, which has some of the campaign's choices, by the campaign's numbers.
+
+    Raises:
+        InputError: if it has other choices, or only one of both has choices.
+    """
+    if not (own.choices and parameter.choices):
+        rule = own.rule.replace("must be one of", "must be among") if own.choices else "must be left out"
+        raise InputError(f"space.{own.name}.choices: {rule}, as in the campaign, got {list(parameter.choices)}.")
+    shares = np.zeros(len(own.choices))
+    for choice, share in zip(parameter.choices, parameter.probabilities, strict=True):
+        try:
+            shares[int(own.number_of(choice))] = share
+        except ValueError as rule:
+            raise InputError(f"space.{own.name}.choices: {rule}, got {choice!r}.") from None
+    return replace(own, probabilities=tuple(shares.tolist()))
+
+
 def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpace) -> None:
     """Check one variable of a question.
 
@@ -462,8 +501,10 @@ def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpa
         with naming("space."):
             check_names({name: entry}, space)
         own = space.parameters[space.names.index(name)]
-        if isinstance(entry, FixedVariable) and not own.on_grid(entry.value):
-            raise InputError(f"space.{name}.value: {own.rule} must hold, got {entry.value:g}.")
+        if isinstance(entry, FixedVariable):
+            value = _number_of(space, name, entry.value, f"space.{name}.value")
+            if not own.on_grid(value):
+                raise InputError(f"space.{name}.value: {own.rule}, got {value:g}.")
         unit = own.unit
     if entry.unit and entry.unit != unit:
         stated = unit or "left out"

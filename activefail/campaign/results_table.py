@@ -116,16 +116,17 @@ class ResultTable:
             InputError: naming row, column, rule and value of the first cells that break a rule.
         """
         table = reading.table(campaign, table)
-        _require(table, campaign.space.names)
+        space = campaign.space
+        _require(table, space.names)
         _require_result(campaign, table)
 
         def check(row: int, design: Array) -> None:
             if not reading.keeps_outside:
-                _check_inside(campaign.space, table, row, design)
+                _check_inside(space, table, row, design)
                 return
             with np.errstate(all="ignore"):
                 if not np.isfinite(campaign.features(design[None])).all():
-                    raise InputError(f"{table.places[row]}: the features of {design.tolist()} must be finite.")
+                    raise InputError(f"{table.places[row]}: the features of {space.row(design)} must be finite.")
 
         added = cls._of_rows(campaign, table, reading, lambda _: 0, check)
         return replace(added, ids=np.empty(0, dtype=np.int64))
@@ -272,8 +273,10 @@ class ResultTable:
             if not (is_same.all() and is_nearest):
                 worst = np.flatnonzero(given)[int(np.argmax(np.where(is_same, 0.0, 1.0) + own))]
                 way = "`tell --changed` records another design"
-                rule = f"must be {float(asked[worst])!r}, as handed out with id {number} ({way})"
-                faults[row] = str(self.table.broken(row, campaign.space.names[worst], rule, float(told[worst])))
+                one = campaign.space.parameters[worst]
+                shown = [one.written(x[worst]) if one.choices else float(x[worst]) for x in (asked, told)]
+                rule = f"must be {shown[0]!r}, as handed out with id {number} ({way})"
+                faults[row] = str(self.table.broken(row, one.name, rule, shown[1]))
         return faults
 
 
@@ -358,10 +361,10 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
     """The design of a row, (d,), NaN where a column is missing. Fixed quantities must have their values.
 
     Raises:
-        InputError: if a cell is no finite number.
+        InputError: if a cell is no finite number or choice.
     """
-    names = campaign.space.names
-    design = np.array([table.finite(row, name) if name in table.columns else np.nan for name in names])
+    variables = campaign.space.parameters
+    design = np.array([table.value(row, one) if one.name in table.columns else np.nan for one in variables])
     for name, value in campaign.space.fixed.items():
         if name in table.columns and abs(table.finite(row, name) - value) > _ROUNDED * abs(value):
             raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
@@ -375,13 +378,14 @@ def _check_inside(space: DesignSpace, table: Table, row: int, design: Array) -> 
         InputError: naming the first variable that does not, or whose constraint does not hold.
     """
     values = dict(zip(space.names, design.tolist(), strict=True))
+    written = space.written(values)
     for parameter in space.parameters:
         if not parameter.contains(values[parameter.name]):
-            raise table.broken(row, parameter.name, f"{parameter.rule} must hold", values[parameter.name])
+            raise table.broken(row, parameter.name, parameter.rule, values[parameter.name])
     for constraint in space.constraints:
-        if not constraint.holds({**values, **space.fixed}):
+        if not constraint.holds(space.quantities(values)):
             name = next(name for name in space.names if name in constraint.names)
-            raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", values[name])
+            raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", written[name])
 
 
 def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:

@@ -21,7 +21,7 @@ from pydantic import (
 from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.names import Criterion, FeatureSet, Kernel
-from activefail.parameter import Parameter, distribution_fault, step_fault
+from activefail.parameter import Choice, Parameter, choices_fault, distribution_fault, step_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
 
 _SHOWN = 200
@@ -36,6 +36,10 @@ def shown(value: object) -> str:
         return "a number with thousands of digits"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
+
+NAME, NUMBER, RANGE = "a name", "a number", "a range"
+WITH = "a table with "
+"""Tags of alternative values, which no message shows."""
 
 _WIDEST = 9.0
 """Largest distance of a bound from the median in standard deviations: the probability beyond is 10⁻¹⁹."""
@@ -61,6 +65,8 @@ class Variable(Section):
         unit: unit as text, for tables and figures; nothing is converted.
         step: distance of the values low, low + step, ..., high of a variable that is not continuous, such as 1 for a
             whole number. Each has the probability of all values that are rounded to it.
+        choices: texts or numbers without order, in place of bounds and distribution.
+        probabilities: of the choices; equal if left out.
         distribution: name of the distribution.
         mean: mean, before truncation.
         sd: standard deviation, before truncation.
@@ -79,6 +85,8 @@ class Variable(Section):
     high: float | None = None
     unit: str = ""
     step: float | None = None
+    choices: list[Choice] | None = None
+    probabilities: list[float] | None = None
     distribution: Distribution = "uniform"
     mean: float | None = None
     sd: float | None = None
@@ -92,8 +100,26 @@ class Variable(Section):
     beta: float | None = None
     rate: float | None = None
 
+    @field_validator("choices", mode="before")
+    @classmethod
+    def _are_texts_or_numbers(cls, choices: object) -> object:
+        for one in choices if isinstance(choices, list) else ():
+            is_number = isinstance(one, int | float) and not isinstance(one, bool)
+            if not isinstance(one, str) and not (is_number and abs(one) <= LARGEST):  # false for NaN too
+                raise ValueError(f"must be texts, or numbers of at most {LARGEST:g} in size, got {shown(one)}")
+        return choices
+
     @model_validator(mode="after")
     def _is_a_distribution(self) -> Self:
+        if self.choices is not None:
+            for name in self.model_fields_set - {"choices", "probabilities", "unit"}:
+                if getattr(self, name) not in (None, "uniform"):
+                    raise ValueError(f"`{name}` cannot be combined with `choices`, got {getattr(self, name)!r}")
+            if fault := choices_fault(self.choices, self.probabilities or ()):
+                raise ValueError(fault)
+            return self
+        if self.probabilities is not None:
+            raise ValueError(f"`probabilities` requires `choices`, got {shown(self.probabilities)}")
         if fault := parameters_fault(self.distribution, self.low, self.high, self._parameters):
             raise ValueError(fault)
         # The widest reach that settings allow; bounds in the file do not depend on it.
@@ -109,6 +135,11 @@ class Variable(Section):
         if fault := step_fault(low, high, self.step, self.distribution):
             raise ValueError(fault)
         return self
+
+    @property
+    def has_texts(self) -> bool:
+        """Whether the choices are texts."""
+        return any(isinstance(one, str) for one in self.choices or ())
 
     @property
     def _parameters(self) -> dict[str, float]:
@@ -130,8 +161,8 @@ class Variable(Section):
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the file gives both bounds."""
-        return self.low is not None and self.high is not None
+        """Whether the file gives both bounds, or choices."""
+        return self.choices is not None or (self.low is not None and self.high is not None)
 
     def parameter(self, name: str, distance: float) -> Parameter:
         """The variable of the design space, under a name.
@@ -140,6 +171,8 @@ class Variable(Section):
             name: of the variable.
             distance: where bounds lie that the file leaves out, in standard deviations of a normal variable.
         """
+        if self.choices is not None:
+            return Parameter.of_choices(name, self.choices, self.probabilities or (), self.unit)
         low, high, mean, sd = self._numbers(distance)
         return Parameter(name, low, high, self.unit, self.distribution, mean, sd, self.step)
 
@@ -148,11 +181,14 @@ class FixedVariable(Section):
     """A quantity of the simulator that is the same for every design.
 
     Attributes:
-        value: the value, in its unit.
+        value: the value, in its unit; in a question one of the choices, if the variable has some.
         unit: unit as text.
     """
 
-    value: float = Field(ge=-LARGEST, le=LARGEST)
+    value: Annotated[
+        Annotated[float, Field(ge=-LARGEST, le=LARGEST), Tag(NUMBER)] | Annotated[str, Tag(NAME)],
+        Discriminator(lambda value: NAME if isinstance(value, str) else NUMBER),
+    ]
     unit: str = ""
 
 
@@ -498,9 +534,6 @@ KINDS: dict[str, dict[str, type[Section]]] = {
     "criterion": {"python": PythonSettings},
 }
 """Alternative tables of a setting, by the key that only they have."""
-
-NAME, RANGE = "a name", "a range"
-WITH = "a table with "
 
 
 def _range_or_value(entry: Any) -> str:

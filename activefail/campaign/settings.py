@@ -145,16 +145,21 @@ class CampaignSettings(Section):
     @field_validator("space")
     @classmethod
     def _named(cls, space: dict[str, Variable | FixedVariable]) -> dict[str, Variable | FixedVariable]:
-        for name in space:
+        for name, entry in space.items():
             if not name.isidentifier():
                 raise ValueError(f"a variable's name must be an identifier, got {name!r}")
+            if isinstance(entry, FixedVariable) and isinstance(entry.value, str):
+                raise ValueError(f"{name}.value: must be a number, got {entry.value!r}")
         return space
 
     @field_validator("constraints")
     @classmethod
     def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
         for text in texts if "space" in info.data else ():  # which has its own error otherwise
-            parse_constraint(text, info.data["space"])
+            constraint = parse_constraint(text, info.data["space"])
+            for name, entry in info.data["space"].items():
+                if name in constraint.names and isinstance(entry, Variable) and entry.has_texts:
+                    raise ValueError(f"{name!r} has texts as choices, which no expression takes; in {text!r}")
         return texts
 
     @model_validator(mode="after")
@@ -202,10 +207,15 @@ class CampaignSettings(Section):
         """Whether simulations are done elsewhere, so that activefail cannot run any."""
         return isinstance(self.simulator, ElsewhereSettings)
 
+    @property
+    def without_order(self) -> tuple[str, ...]:
+        """Names of the variables with choices."""
+        return tuple(name for name, one in self.space.items() if isinstance(one, Variable) and one.choices)
+
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
         variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
-        fixed = {name: entry.value for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
+        fixed = {name: float(entry.value) for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
         parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())

@@ -40,12 +40,15 @@ def check(campaign: CampaignFile) -> None:
 
 def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
-    from activefail.shares import feasible_share
+    from activefail.shares import choices_with_shares, feasible_share
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.function import PythonSimulator
 
     simulator, space = campaign.simulator, campaign.space
     for one in space.parameters:
+        if one.choices:
+            yield "variable", f"{one.label}: {choices_with_shares(one)}"
+            continue
         steps = "" if one.step is None else f" in steps of {one.step:g}"
         yield "variable", f"{one.label}: {one.low:g} to {one.high:g}{steps}, {one.distribution.replace('_', ' ')}"
     for constraint in space.constraints:

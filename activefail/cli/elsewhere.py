@@ -80,6 +80,7 @@ def ask(
 ) -> None:
     """Hand out designs to be simulated elsewhere."""
     from activefail.csv_table import writing
+    from activefail.parameter import exact
 
     with (
         table_output("--csv", csv) as target,
@@ -96,7 +97,7 @@ def ask(
                 if not len(table) and csv != STANDARD:
                     # An earlier table under this name may be the one that somebody works on.
                     raise _NothingError
-                write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
+                write([[int(cells[0]), *map(exact, cells[1:])] for cells in table.itertuples(index=False)])
         except (InputError, OSError):  # a full disk shows only now
             if table is not None and len(table) and not in_flight:
                 again = f"activefail ask {quoted(folder)} --in-flight --csv FILE"

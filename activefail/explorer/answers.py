@@ -56,6 +56,7 @@ class Slider(NamedTuple):
         low, high: its range.
         start: where it stands at first.
         step: distance of the values, if there are none between them.
+        choices: texts of a list, in place of a range; the number is that of one of them.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Slider(NamedTuple):
     high: float
     start: float
     step: float | None = None
+    choices: tuple[str, ...] = ()
 
 
 def _listed(values: Array, digits: int) -> list[Any]:
@@ -93,7 +95,7 @@ class Answers:
         self.quantities = quantities.variables(findings.campaign)
         middle = middle_of(self.space)
         self.sliders = tuple(
-            Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start, p.step)
+            Slider(p.name, of.text, of.unit, of.meaning, p.low, p.high, start, p.step, tuple(map(str, p.choices)))
             for p, of, start in zip(self.space.parameters, self.quantities, middle, strict=True)
         )
         # Compile and load everything before the first request.
@@ -128,7 +130,9 @@ class Answers:
     def about(self) -> Answer:
         """The data that the page contains from the start."""
         settings, findings, names = self.campaign.settings, self.findings, self.space.names
-        ranking = np.argsort(-findings.influence, kind="stable").tolist()
+        # Choices have no axes.
+        order = np.argsort(-findings.influence, kind="stable").tolist()
+        ranking = [column for column in order if not self.space.parameters[column].choices]
         presets = [("the middle of the space", np.array(middle_of(self.space)))]
         if self._failure is not None and self._failure.point is not None:
             presets.append((f"the design point of {findings.beyond}", self._failure.point.X))
@@ -146,7 +150,7 @@ class Answers:
             "beyond": findings.beyond,
             "presets": [{"text": text, "point": X.tolist()} for text, X in presets],
             "plane": [names[column] for column in ranking[:2]],
-            "along": "A_p" if "A_p" in names else names[ranking[0]],
+            "along": "A_p" if "A_p" in names else names[ranking[0]] if ranking else "",
             "simulates": self.simulates,
         }
 
@@ -175,31 +179,38 @@ class Answers:
             shown: one of `shown`.
 
         Raises:
-            InputError: if both variables are the same.
+            InputError: if both variables are the same, or one has choices.
         """
+        self._check_ordered(x, y)
         if x == y:
             raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
         low, high = self.space.low, self.space.high
         along_x, along_y = np.linspace(low[x], high[x], _GRID), np.linspace(low[y], high[y], _GRID)
         grid_x, grid_y = np.meshgrid(along_x, along_y)
         rows = np.tile(np.array(point), (grid_x.size, 1))
-        rows[:, x], rows[:, y] = grid_x.ravel(), grid_y.ravel()
+        for column, values in ((x, grid_x), (y, grid_y)):
+            rows[:, column] = self.space.parameters[column].rounded(values.ravel())
         prediction = predict(self.campaign, self.findings.classifier, rows)
         uncertain = shown == UNCERTAINTY
         if uncertain:
-            values, title = prediction.high - prediction.low, f"uncertainty of P({plain(self.findings.beyond)})"
+            shades, title = prediction.high - prediction.low, f"uncertainty of P({plain(self.findings.beyond)})"
         else:
-            values, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
+            shades, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
         axes_of = self.quantities[x], self.quantities[y]
-        figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)
+        figure = plot_variable_plane(axes_of, (along_x, along_y), shades.reshape(grid_x.shape), title, uncertain)
         svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
-        """A figure of the probability of lying beyond the target boundary against a variable."""
+        """A figure of the probability of lying beyond the target boundary against a variable.
+
+        Raises:
+            InputError: if the variable has choices.
+        """
+        self._check_ordered(along)
         values = np.linspace(self.space.low[along], self.space.high[along], _CURVE)
         rows = np.tile(np.array(point), (len(values), 1))
-        rows[:, along] = values
+        rows[:, along] = self.space.parameters[along].rounded(values)
         prediction = predict(self.campaign, self.findings.classifier, rows)
         figure = plot_fragility(
             values,
@@ -264,6 +275,11 @@ class Answers:
         svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
         first, last = figure.axes[0], figure.axes[-1]
         return {"svg": str(svg), "axes": _place(first, last), "times": list(last.get_xlim())}
+
+    def _check_ordered(self, *columns: int) -> None:
+        for column in columns:
+            if self.space.parameters[column].choices:
+                raise InputError(f"{self.space.names[column]} has choices without order, so it has no axis.")
 
     def _simulated(self, point: Sequence[float]) -> tuple[DfpSimulator, Response]:
         if not isinstance(self.campaign.simulator, DfpSimulator):

@@ -47,6 +47,10 @@ export function sliders(quantities, values, moved) {
 
   function show() {
     quantities.forEach((v, i) => {
+      if (v.choices?.length) {
+        find(`v${i}`).value = values[i];
+        return;
+      }
       const text = `${number(values[i])}${v.unit ? ` ${v.unit}` : ""}`;
       find(`v${i}`).value = toStep(i);
       find(`v${i}`).setAttribute("aria-valuetext", text);
@@ -79,6 +83,13 @@ export function sliders(quantities, values, moved) {
   }
 
   quantities.forEach((v, i) => {
+    if (v.choices?.length) {
+      find(`v${i}`).addEventListener("change", (event) => {
+        set(i, Number(event.target.value));
+        moved([i]);
+      });
+      return;
+    }
     if (v.step) find(`v${i}`).step = (STEPS * v.step) / (v.high - v.low);
     find(`v${i}`).addEventListener("input", (event) => {
       setComputed(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));

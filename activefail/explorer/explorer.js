@@ -114,13 +114,15 @@ function keyOnPlane(event) {
   if (!step) return;
   event.preventDefault();
   const [i, sign] = step;
-  setComputed(i, point[i] + sign * (event.shiftKey ? 0.1 : 0.02) * (variables[i].high - variables[i].low));
+  const share = (event.shiftKey ? 0.1 : 0.02) * (variables[i].high - variables[i].low);
+  setComputed(i, point[i] + sign * Math.max(share, variables[i].step || 0));
   moved([i]);
 }
 
 // --- fragility -----------------------------------------------------------------------------------------------------
 
 const fragility = latest(async () => {
+  if (!find("along")) return;
   const answer = await ask("fragility", { point, along: find("along").value });
   showDrawing(find("fragility"), answer.svg);
 });
@@ -298,8 +300,10 @@ if (hasPlane) {
   });
   find("plane-shown").addEventListener("change", plane);
 }
-find("along").value = about.along;
-find("along").addEventListener("change", fragility);
+if (find("along")) {
+  find("along").value = about.along;
+  find("along").addEventListener("change", fragility);
+}
 if (about.simulates) {
   find("simulate").addEventListener("click", simulate);
   find("play").addEventListener("click", () => (playing === null ? play() : stop()));

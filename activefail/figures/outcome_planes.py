@@ -141,8 +141,11 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
         order = np.argsort(scales)
     else:
         order = np.argsort(-findings.influence, kind="stable")
-    middle = 0.5 * (space.low + space.high)
-    first = [int(column) for column in order[:3]]
+    middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
+    for column, one in enumerate(space.parameters):
+        middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
+    # Choices have no axes.
+    first = [int(column) for column in order if not space.parameters[column].choices][:3]
 
     def plane(x: int, y: int, third: int) -> Plane:
         low, high = space.low[third], space.high[third]
@@ -158,7 +161,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
             planes = []
 
     def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
-        return predict(campaign, findings.classifier, rows), np.ones(len(rows), dtype=bool)
+        return predict(campaign, findings.classifier, space.nearest(rows)), np.ones(len(rows), dtype=bool)
 
     width = 0.15 * (space.high - space.low)
     return Coordinates(variables(campaign), findings.X, middle, at, planes, lambda plane, _: float(width[plane.third]))

@@ -200,7 +200,7 @@ def read_status(folder: Path) -> Status:
             folder,
             summary,
             schema.margins,
-            where_lost(schema.variables, history.designs, ~history.answered),
+            where_lost(schema.variables, history.designs, ~history.answered, settings.without_order),
             store.new_warnings(),
             state,
             estimates,

@@ -1,6 +1,6 @@
 """A summary of a campaign from its record, without importing the machine learning libraries."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -54,18 +54,23 @@ def features_in_words(settings: CampaignSettings) -> str:
     return visible(", ".join((["variables"] if included else []) + names))
 
 
-def where_lost(names: Sequence[str], designs: Array, lost: NDArray[np.bool_]) -> str:
+def where_lost(
+    names: Sequence[str], designs: Array, lost: NDArray[np.bool_], without_order: Collection[str] = ()
+) -> str:
     """How many runs gave no result, and which variable tells them best from the others; empty if all gave one.
 
     Args:
         names: of the variables.
         designs: (n, d) of the simulations.
         lost: (n,) which gave no result.
+        without_order: names of variables with choices, which are left out.
     """
+    columns = [column for column, name in enumerate(names) if name not in without_order]
+    names, designs = [names[column] for column in columns], designs[:, columns]
     if not lost.any():
         return ""
     text = f"{int(lost.sum())} of {len(lost)} runs gave no result"
-    if lost.all():
+    if lost.all() or not names:
         return text
     ranks = np.argsort(np.argsort(designs, axis=0), axis=0) / max(1, len(lost) - 1)
     apart = ranks[lost].mean(axis=0) - ranks[~lost].mean(axis=0)

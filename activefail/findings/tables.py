@@ -22,7 +22,7 @@ from activefail.record.labels import labels_of
 from activefail.record.store import Store
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -35,12 +35,20 @@ _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 Advance = Callable[[int], None]
 
 
+def _columns(space: DesignSpace, X: Array) -> dict[str, Any]:
+    """The variables of designs, (n, d), as columns of a DataFrame; texts are categories, all of them in any table."""
+    import pandas as pd
+
+    texts = {one.name: one.choices for one in space.parameters if one.has_texts}
+    return {name: pd.Categorical(x, texts[name]) if name in texts else x for name, x in space.columns(X).items()}
+
+
 def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
     """Designs that were handed out: `id`, the variables, and the fixed quantities."""
     import pandas as pd
 
     columns: dict[str, Any] = {"id": asked.id}
-    columns |= campaign.space.columns(asked.designs)
+    columns |= _columns(campaign.space, asked.designs)
     columns |= {name: np.full(len(asked), value) for name, value in campaign.space.fixed.items()}
     return pd.DataFrame(columns)
 
@@ -56,7 +64,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     history, space = History.of(store.batches), campaign.space
     columns: dict[str, Any] = {"id": history.id, "iteration": history.iteration}
     columns["origin"] = [_ORIGINS[origin] for origin in history.origin.tolist()]
-    columns |= space.columns(history.designs)
+    columns |= _columns(space, history.designs)
     columns |= _result_columns(campaign, history)
     columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
     if isinstance(campaign.simulator, CommandSimulator):
@@ -102,7 +110,7 @@ def predictions_frame(
     import pandas as pd
 
     values = _predicted_values(campaign, classifier, X)
-    columns: dict[str, Any] = campaign.space.columns(X)
+    columns = _columns(campaign.space, X)
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
 
 
@@ -116,6 +124,8 @@ def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassif
 def designs_of(campaign: Campaign, X: Any) -> Array:
     """Designs, (n, d), from an array or a list of rows in the space's order, or from a table with names.
 
+    Choices are as the campaign file has them.
+
     Args:
         campaign: the campaign.
         X: the array or rows; or a DataFrame, a dictionary of columns, or a list of dictionaries, whose names decide.
@@ -126,7 +136,10 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
     space = campaign.space
     has_order = isinstance(X, Sequence) and not isinstance(X, str) and bool(X) and all(map(_is_plain, X))
     if not (has_order or isinstance(X, np.ndarray)):
-        return Table.of_python(X).numbers(space.names)
+        return Table.of_python(X).designs(space)
+    if any(one.choices for one in space.parameters) and np.ndim(X) == 2 and len(X[0]) == space.dimension:
+        places = [f"X: row {row}" for row in range(len(X))]
+        return Table("", space.names, [list(row) for row in X], places).designs(space)
     rule = f"X: must be a table or an (n, {space.dimension}) array of numbers with the columns {', '.join(space.names)}"
     try:
         designs = np.array(X, dtype=np.float64)
@@ -196,7 +209,7 @@ def simulate_table(
         return [[outcome, cause, *map(_cell, values)] for outcome, cause, values in rows]
 
     added = ("outcome", "cause", *o.COLUMNS)
-    _extend(source, target, TABLE_1.names, added, check_bearing(model), simulated, begin)
+    _extend(source, target, TABLE_1, added, check_bearing(model), simulated, begin)
     return counts
 
 
@@ -224,7 +237,7 @@ def predict_table(
         for parameter, value in zip(space.parameters, design.tolist(), strict=True):
             if parameter.low > 0.0 >= value:
                 return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
-        return f"features: must be finite; those of {design.tolist()} are not"
+        return f"features: must be finite; those of {space.row(design)} are not"
 
     def predicted(X: Array, advance: Advance) -> list[list[Any]]:
         nonlocal outside
@@ -233,14 +246,14 @@ def predict_table(
         advance(len(X))
         return rows
 
-    _extend(source, target, space.names, predicted_columns(classifier.outcomes), check, predicted, begin)
+    _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
     return outside
 
 
 def _extend(
     source: Source,
     target: Target,
-    names: Sequence[str],
+    space: DesignSpace,
     added: Sequence[str],
     check: Check,
     cells: Callable[[Array, Advance], list[list[Any]]],
@@ -250,14 +263,14 @@ def _extend(
 
     Args:
         source, target: the tables.
-        names: of the columns of a design.
+        space: whose designs they are.
         added: names of the added columns.
         check: a rule for each design.
         cells: of the added columns for n designs, (n, d), with a callback for finished rows.
         begin: called with the number of rows once they are checked; returns this callback.
     """
     with rereadable(source) as kept:
-        table = DesignTable.checked(kept, names, added, check)
+        table = DesignTable.checked(kept, space, added, check)
         advance = begin(table.rows)
         with writing(target, [*table.header, *added]) as write:
             for texts, X in table.chunks():

@@ -438,6 +438,7 @@ def variable_p_values(space: DesignSpace, history: History, severity: int) -> di
     """The p-values of the variables, by name, in a logistic regression of the initial design.
 
     Only the initial design is a sample of the design space. The variables are standardised as for the classifier.
+    Those with choices are left out.
 
     Args:
         space: of the campaign.
@@ -449,13 +450,14 @@ def variable_p_values(space: DesignSpace, history: History, severity: int) -> di
     """
     known = history[history.initial & history.answered]
     beyond = known.outcome >= severity
-    if not beyond.any() or beyond.all():
+    columns = [column for column, one in enumerate(space.parameters) if not one.choices]
+    if not beyond.any() or beyond.all() or not columns:
         return {}
     try:
-        fit = logistic_regression(space.standardised(known.designs), beyond)
+        fit = logistic_regression(space.standardised(known.designs)[:, columns], beyond)
     except InputError:
         # Fewer simulations than variables.
         return {}
     if not (fit.converged and np.isfinite(fit.p_values).all()):
         return {}
-    return dict(zip(space.names, fit.p_values.tolist(), strict=True))
+    return dict(zip((space.names[column] for column in columns), fit.p_values.tolist(), strict=True))

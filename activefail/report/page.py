@@ -40,6 +40,7 @@ from activefail.report.environment import page_environment
 from activefail.report.evidence import Curve, Evidence, Reliability
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
+from activefail.shares import choices_with_shares
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
@@ -57,6 +58,8 @@ _CORRELATION = {"rbf": 61, "matern52": 52}
 
 def spread(parameter: Parameter) -> str:
     """A variable's distribution in words."""
+    if parameter.choices:
+        return choices_with_shares(parameter)
     name = in_words(parameter.distribution)
     if parameter.step is not None:
         name = f"{name}, in steps of {parameter.step:g}"
@@ -180,9 +183,10 @@ def _uncertain(findings: Findings) -> list[tuple[Any, ...]]:
     """The designs of the pool that would tell the most: with probabilities, their interval, and information [bit]."""
     of_pool, predicted = findings.pool_prediction, findings.classifier.predicted(findings.pool)
     bits = information(predicted, findings.campaign.severity)
-    columns = (findings.pool, of_pool.probabilities, of_pool.low, of_pool.high, bits)
+    columns = (of_pool.probabilities, of_pool.low, of_pool.high, bits)
     rows = np.argsort(-bits, kind="stable")[:LISTED]
-    return list(zip(*(column[rows].tolist() for column in columns), strict=True))
+    designs = [findings.campaign.space.row(X) for X in findings.pool[rows]]
+    return list(zip(designs, *(column[rows].tolist() for column in columns), strict=True))
 
 
 def _gallery(findings: Findings) -> list[dict[str, Any]]:
@@ -310,7 +314,7 @@ def render(
         "constraints": [one.text for one in campaign.space.constraints],
         "fixed": list(zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)),
         "counts": _counts(findings),
-        "lost": where_lost(campaign.space.names, findings.X, ~findings.answered),
+        "lost": where_lost(campaign.space.names, findings.X, ~findings.answered, settings.without_order),
         "failure": failure_section(findings, failure),
         "risk": fragility_section(risk),
         "has_pulse": has_pulse(campaign.space),

@@ -62,6 +62,8 @@ class DfpSimulator:
                     f"{', '.join(TABLE_1.names)}."
                 )
         for parameter in space.parameters:
+            if parameter.choices:
+                raise InputError(f"space.{parameter.name}: the dfp simulator takes no choices; use `step`.")
             unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
             if parameter.unit not in ("", unit):
                 raise InputError(f"space.{parameter.name}.unit: must be {unit!r} or left out, got {parameter.unit!r}.")

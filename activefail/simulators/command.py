@@ -13,11 +13,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from activefail.errors import InputError, reason_of, signal_name
 from activefail.files import end_of, make_folder
+from activefail.parameter import exact
 from activefail.simulators.code_folder import sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, files_of, filled_file
@@ -183,7 +185,7 @@ class CommandSimulator:
                 shutil.rmtree(folder, ignore_errors=True)
         return Results.concatenate(answers)
 
-    def _run_once(self, design: Mapping[str, float], folder: Path) -> Results:
+    def _run_once(self, design: Mapping[str, Any], folder: Path) -> Results:
         # An answer left by an earlier attempt must not be read.
         shutil.rmtree(folder, ignore_errors=True)
         if not self.work.is_dir():
@@ -194,7 +196,7 @@ class CommandSimulator:
         assert self.here is not None
         out = folder / "answer.json"
         paths = {"here": self.here, "out": out}
-        environment = os.environ | {f"AF_{name}": repr(value) for name, value in design.items()}
+        environment = os.environ | {f"AF_{name}": exact(value) for name, value in design.items()}
         environment |= {PATHS[name]: str(path) for name, path in paths.items()}
         environment |= dict.fromkeys(_THREADS, str(self.cores))
         began = time.perf_counter()
@@ -241,7 +243,7 @@ class CommandSimulator:
         except (ValueError, RecursionError) as error:
             raise UnusableAnswerError(f"{out.name} is not JSON: {error}") from None
 
-    def _prepare(self, design: Mapping[str, float], folder: Path) -> None:
+    def _prepare(self, design: Mapping[str, Any], folder: Path) -> None:
         """Write the templates with a design's values, and copy files, to its folder."""
         assert self.here is not None
         for file in self.templates:

@@ -155,10 +155,10 @@ class Simulator(Protocol):
 
 def design_in_words(simulator: Simulator, x: Array) -> str:
     """A design, (d,), as messages name it: its values by name, and its folder if it has one."""
-    values = np.asarray(x).tolist()
-    names = space.names if (space := getattr(simulator, "space", None)) is not None else ()
-    pairs = zip(names, values, strict=True) if len(names) == len(values) else ()
-    text = ", ".join(f"{name} = {value:.6g}" for name, value in pairs) or str(values)
+    space = getattr(simulator, "space", None)
+    pairs = () if space is None or space.dimension != len(x) else zip(space.names, space.row(x), strict=True)
+    shown = (f"{name} = {value if isinstance(value, str) else f'{value:.6g}'}" for name, value in pairs)
+    text = ", ".join(shown) or str(np.asarray(x).tolist())
     folder_of = getattr(simulator, "folder_of", None)
     return f"design {text}" + ("" if folder_of is None else f" in {folder_of(x)}")
 

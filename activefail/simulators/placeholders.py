@@ -31,12 +31,16 @@ class Number(float):
         return format(float(self), form) if form else repr(float(self))
 
 
-def _number(value: float) -> float:
-    """A number with this format; whole numbers have it already."""
-    return value if isinstance(value, int) else Number(value)
+Value = float | str
+"""A number, or the text of a choice."""
 
 
-def check_command(command: str, quantities: Mapping[str, float]) -> None:
+def _value(value: Value) -> Value:
+    """A value with this format; whole numbers and texts have it already."""
+    return Number(value) if isinstance(value, float) else value
+
+
+def check_command(command: str, quantities: Mapping[str, Value]) -> None:
     """Check that a command can be filled in.
 
     Args:
@@ -73,7 +77,7 @@ def _check(name: str, form: str, known: Collection[str]) -> None:
         )
 
 
-def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Path]) -> list[str]:
+def arguments(command: str, design: Mapping[str, Value], paths: Mapping[str, Path]) -> list[str]:
     """The program and its arguments for a design.
 
     Args:
@@ -85,12 +89,13 @@ def arguments(command: str, design: Mapping[str, float], paths: Mapping[str, Pat
         InputError: if a path contains what an argument may read as code.
     """
     parts = shlex.split(command)
-    values: dict[str, float | str] = {name: _number(value) for name, value in design.items()}
+    values = {name: _value(value) for name, value in design.items()}
+    references = PATHS | {name: f"AF_{name}" for name, value in design.items() if isinstance(value, str)}
     values |= {name: str(path) for name, path in paths.items()}
     filled = []
     for place, part in enumerate(parts):
         if _is_shell_script(parts[:place]):
-            part = _by_environment(part)
+            part = _by_environment(part, references)
         elif re.search(r"[\s(]", part):
             for name, path in paths.items():
                 if f"{{{name}}}" in part and re.search(r"""['"`$\\;&|<>*?!\n]""", str(path)):
@@ -108,23 +113,28 @@ def _is_shell_script(before: list[str]) -> bool:
     return bool(shells) and before[-1] != before[shells[-1]] and re.fullmatch(r"-\w*c", before[-1]) is not None
 
 
-def _by_environment(script: str) -> str:
-    """A script for a shell with references to the environment in place of `{here}` and `{out}`.
+def _by_environment(script: str, references: Mapping[str, str]) -> str:
+    """A script for a shell with references to the environment in place of paths and texts.
 
     A shell expands a reference in double quotes to one word, whatever it contains, and never runs it.
+
+    Args:
+        script: the script.
+        references: names of placeholders, and of the variables of the environment.
     """
     filled, quote = [], ""
-    for piece in re.split(r"(\{here\}|\{out\}|\\.|['\"])", script, flags=re.DOTALL):
+    names = "|".join(rf"\{{{name}\}}" for name in references)
+    for piece in re.split(rf"({names}|\\.|['\"])", script, flags=re.DOTALL):
         if piece in ("'", '"') and quote in ("", piece):
             quote = "" if quote else piece
-        if name := PATHS.get(piece.strip("{}")) if piece.startswith("{") else None:
+        if name := references.get(piece.strip("{}")) if piece.startswith("{") else None:
             reference = f"${{{{{name}:?}}}}"
             piece = {"": f'"{reference}"', '"': reference, "'": f"'\"{reference}\"'"}[quote]
         filled.append(piece)
     return "".join(filled)
 
 
-def check_file(text: str, quantities: Mapping[str, float]) -> list[str]:
+def check_file(text: str, quantities: Mapping[str, Value]) -> list[str]:
     """The quantities that an input file asks for, among these with examples of their values.
 
     Raises:
@@ -149,13 +159,13 @@ def check_file(text: str, quantities: Mapping[str, float]) -> list[str]:
     return list(dict.fromkeys(asked))
 
 
-def filled_file(text: str, design: Mapping[str, float]) -> str:
+def filled_file(text: str, design: Mapping[str, Value]) -> str:
     """An input file with the values of a design; other braces stay; double braces become single."""
 
     def filled(found: re.Match[str]) -> str:
         if found[1] is None:
             return found[0][1:-1]
-        return format(_number(design[found[1]]), found[2] or "") if found[1] in design else found[0]
+        return format(_value(design[found[1]]), found[2] or "") if found[1] in design else found[0]
 
     return _IN_FILE.sub(filled, text)
 

@@ -11,8 +11,8 @@ from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import Array, DesignSpace
 
 
-def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, float]]:
-    """One dictionary per design, (n, d): values of the variables and the fixed quantities."""
+def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, Any]]:
+    """One dictionary per design, (n, d): values of the variables, with choices as written, and fixed quantities."""
     columns = [column.tolist() for column in space.columns(X).values()]
     return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in zip(*columns, strict=True)]
 

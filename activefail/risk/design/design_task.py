@@ -112,7 +112,7 @@ class DesignTask:
 
     def allows(self, values: Mapping[str, float]) -> bool:
         """Whether values of the free variables meet the constraints that involve nothing uncertain."""
-        known = {**self.question.fixed, **values}
+        known = self.asked.campaign.space.quantities({**self.question.fixed, **values})
         return all(bool(one.holds(known)) for one in self.constraints if one.names <= known.keys())
 
     @property
@@ -229,6 +229,10 @@ def design_task(
     for name in names:
         if name not in space.names:
             raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
+        if space.parameters[space.names.index(name)].choices:
+            raise InputError(
+                f"free: {name} has choices without order; give it one by `fixed`, and compare the designs."
+            )
         if names.count(name) > 1:
             raise InputError(f"free: names {name!r} twice.")
         if PGV in {*question.space.names, *question.fixed} and name in (PERIOD, AMPLITUDE):
@@ -239,7 +243,8 @@ def design_task(
         raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
     ranges = {one.name: one for one in space.parameters}
     low, high = {name: ranges[name].low for name in names}, {name: ranges[name].high for name in names}
-    price, text = _cost(cost, names, {**space.fixed, **question.fixed})
+    certain = {name: value for name, value in question.fixed.items() if name not in space.texts}
+    price, text = _cost(cost, names, space.quantities(certain))
     for side in (low, high):
         price(side)
     stepped = {name: ranges[name] for name in names if ranges[name].step is not None}

@@ -89,10 +89,10 @@ class DesignFindings:
         return self.designed.task.asked.hazard
 
     @property
-    def bearing(self) -> dict[str, float]:
+    def bearing(self) -> dict[str, Any]:
         """The values of all variables that are certain, by name, in the campaign's order."""
-        fixed = self.designed.question.fixed
-        return {name: fixed[name] for name in self.campaign.space.names if name in fixed}
+        fixed, space = self.designed.question.fixed, self.campaign.space
+        return space.written({name: fixed[name] for name in space.names if name in fixed})
 
     @property
     def uncertain(self) -> list[str]:
@@ -131,7 +131,8 @@ class DesignFindings:
     @property
     def _at_upper_friction(self) -> dict[str, float]:
         known = {**self.campaign.space.fixed, **self.bearing}
-        return {name: value * self._upper.get(name, 1.0) for name, value in known.items()}
+        factors = self._upper
+        return {name: value * factors[name] if name in factors else value for name, value in known.items()}
 
     @property
     def assumptions(self) -> list[str]:
@@ -265,7 +266,7 @@ class DesignFindings:
         ]
         looks = [
             {
-                "values": look.candidate.values,
+                "values": self.campaign.space.written(look.candidate.values),
                 "classifier_probability": look.candidate.model,
                 "confidence_of_each_bound": look.of_bound,
                 "estimates": [estimate.numbers for estimate in look.estimates],
@@ -321,7 +322,8 @@ class DesignFindings:
         first, outcomes = task.free[0], self.campaign.simulator.outcomes
         events = [f"P({visible(or_worse(one.outcome, outcomes))})" for one in task.requirements]
         units = {p.name: f" {p.unit}" for p in self.campaign.space.parameters if p.unit}
-        values = (f"{name} = {value:.4g}{units.get(name, '')}" for name, value in self.bearing.items())
+        known = {name: one if isinstance(one, str) else f"{one:.4g}" for name, one in self.bearing.items()}
+        values = (f"{name} = {value}{units.get(name, '')}" for name, value in known.items())
         rows = [("widen", self.outside.advice)] if self.outside.advice else []
         rows += [("design", visible(", ".join(values))), ("result", self.verdict)]
         title = "verified" if designed.status == "verified" else "estimate"

@@ -69,7 +69,7 @@ def fragility(
         ),
         outside=outside,
         from_outside=from_outside,
-        fixed=fixed,
+        fixed=campaign.space.written(fixed),
         confidence=confidence,
         notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
         outcomes=outcomes,

@@ -10,6 +10,7 @@ import numpy as np
 from activefail.bearing.terms import Terms
 from activefail.findings.lines import titled
 from activefail.json_text import json_values, named
+from activefail.parameter import Choice
 from activefail.risk.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
 from activefail.risk.fragility.curve import Capacity, Curve, Ladder, Lognormal, Risk, fit_lognormal, why_not_fitted
 from activefail.risk.fragility.deaggregation import Deaggregation
@@ -83,7 +84,7 @@ class FragilityFindings:
     boundaries: tuple[BoundaryFragility, ...]
     outside: Array
     from_outside: Array
-    fixed: Mapping[str, float]
+    fixed: Mapping[str, Choice]
     confidence: float
     notes: tuple[str, ...]
     outcomes: tuple[str, ...]
@@ -223,7 +224,8 @@ def heading(findings: FragilityFindings) -> str:
 
 def fixed_in_words(findings: FragilityFindings) -> str:
     """The values of variables."""
-    return ", ".join(f"{name} {value:g}" for name, value in findings.fixed.items())
+    shown = {name: value if isinstance(value, str) else f"{value:g}" for name, value in findings.fixed.items()}
+    return ", ".join(f"{name} {value}" for name, value in shown.items())
 
 
 def why_no_risk(findings: FragilityFindings) -> str:

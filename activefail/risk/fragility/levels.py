@@ -71,6 +71,8 @@ def ladder_of(
     if intensity != "pgv":
         raise InputError("intensity: requires hazard; name the variable with against.")
     question, space = asked.question, asked.campaign.space
+    if any(one.name == against and one.choices for one in space.parameters):
+        raise InputError(f"against: {against} has choices without order; give it one by `fixed`, a curve for each.")
     if against in question.fixed:
         raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
     if against not in question.space.names:
@@ -93,9 +95,7 @@ def ladder_of(
         assert known_one is not None
         levels = known_one.values[(known_one.values >= low) & (known_one.values <= high)]
         if not (known_one.contains(low) and known_one.contains(high)) or len(levels) > _MOST_LEVELS:
-            raise InputError(
-                f"{_BOUNDS}: {known_one.rule} must hold, with at most {_MOST_LEVELS} values, got {low:g},{high:g}."
-            )
+            raise InputError(f"{_BOUNDS}: {known_one.rule}, with at most {_MOST_LEVELS} values, got {low:g},{high:g}.")
     if space.constraints:
         levels = levels[[question.at({against: level}).has_designs for level in levels.tolist()]]
     if len(levels) < 2:

@@ -227,7 +227,7 @@ def _moves(varied: Varied, probability: Callable[[str, float], float]) -> tuple[
     """The probability at the base values, and at two values of one variable at a time, by decreasing effect."""
     moves, base = [], varied.question.fixed
     at_base = probability(varied.parameters[0].name, base[varied.parameters[0].name])
-    for one in varied.parameters:
+    for one in (one for one in varied.parameters if not one.choices):
         low, high = (float(one.quantile(share)) for share in (LOW, HIGH))
         at_ends = probability(one.name, low), probability(one.name, high)
         moves.append(Move(one.name, base[one.name], low, high, *at_ends))

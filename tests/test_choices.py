@@ -1,0 +1,227 @@
+"""Variables with choices: soil classes, systems, sizes of a catalogue."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commandline import activefail
+from ran import ran_in
+from scipy.stats import norm
+
+from activefail import create_run, open_run
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.campaign.settings import parse_settings
+from activefail.csv_table import Table
+from activefail.errors import InputError
+from activefail.features import feature_map
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
+
+SOIL = Parameter.of_choices("soil", ("A", "B", "soft clay"), (0.2, 0.5, 0.3))
+DEPTH = Parameter.of_choices("depth", (0.5, 0.75, 2.0), unit="m")
+LOAD = Parameter("load", 5.0, 60.0, "kN")
+SPACE = DesignSpace((LOAD, SOIL, DEPTH))
+
+
+def test_choices_have_their_probabilities() -> None:
+    u = (np.arange(100_000) + 0.5) / 100_000
+    for x in (SOIL.quantile(u), SOIL.from_normal(norm.ppf(u))):
+        assert np.bincount(x.astype(int)) / len(u) == pytest.approx([0.2, 0.5, 0.3], abs=2e-5)
+    assert SOIL.quantile(SOIL.share(SOIL.values)).tolist() == SOIL.from_normal(SOIL.to_normal(SOIL.values)).tolist()
+    assert [SOIL.number_of(SOIL.written(x)) for x in SOIL.values] == SOIL.values.tolist()
+    assert DesignSpace((SOIL, DEPTH)).design_count == 9
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ('{ choices = ["A"] }', "`choices` must have 2 to 100 entries, got ['A']"),
+        ('{ choices = ["A", "B", "A"] }', "`choices` must differ from each other, got 'A' twice"),
+        ("{ choices = [1, 1.0] }", "`choices` must differ from each other, got 1 twice"),
+        ('{ choices = ["A", 2] }', "`choices` must be texts or numbers, not both, got ['A', 2]"),
+        ('{ choices = ["A", ""] }', "must begin with a letter or digit"),
+        ('{ choices = ["A", "=B"] }', "must begin with a letter or digit"),
+        ('{ choices = ["A", "B; rm x"] }', "got 'B; rm x'"),
+        ('{ choices = ["A", "B "] }', "nor a space at its end, got 'B '"),
+        ('{ choices = ["A", true] }', "must be texts, or numbers of at most 1e+75 in size, got True"),
+        ('{ choices = ["A", "B"], probabilities = [0.5] }', "must have one number for each of 2 choices, got [0.5]"),
+        ('{ choices = ["A", "B"], probabilities = [0.5, 0.6] }', "with the sum 1, got [0.5, 0.6] with the sum 1.1"),
+        ('{ choices = ["A", "B"], probabilities = [0.0, 1.0] }', "must be positive with the sum 1, got [0.0, 1.0]"),
+        ('{ choices = ["A", "B"], low = 1.0 }', "`low` cannot be combined with `choices`, got 1.0"),
+        ('{ choices = ["A", "B"], distribution = "normal" }', "`distribution` cannot be combined with `choices`"),
+        ("{ low = 1, high = 2, probabilities = [0.5, 0.5] }", "`probabilities` requires `choices`"),
+        ('{ value = "A" }', "soil.value: must be a number, got 'A'"),
+    ],
+)
+def test_choices_that_make_no_sense_are_refused(line: str, rule: str) -> None:
+    with pytest.raises(InputError, match=r"space\b.*soil") as refused:
+        parse_settings(f'simulator = {{ python = "a:b" }}\n[space]\nsoil = {line}\nload = {{ low = 1, high = 2 }}', "f")
+    assert rule in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "rule"),
+    [
+        ('correlation = [["soil", "load", 0.5]]', "'soil' has choices, which have no order and so no correlation"),
+        ('constraints = ["load * soil <= 2"]', "'soil' has texts as choices, which no expression takes"),
+        ('classifier.features.expressions = { x = "load * soil" }', "'soil' has texts as choices"),
+    ],
+)
+def test_what_needs_a_number_or_an_order_refuses_choices(keys: str, rule: str) -> None:
+    space = '[space]\nsoil = { choices = ["A", "B"] }\nload = { low = 1, high = 2 }'
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(f"simulator = {{ elsewhere = true }}\n{keys}\n{space}", "f"))
+    assert rule in str(refused.value)
+
+
+def test_each_choice_is_a_feature_and_numbers_are_values_in_expressions() -> None:
+    features = feature_map("design", SPACE)
+    assert features.names == ("load", "soil=A", "soil=B", "soil=soft clay", "depth=0.5", "depth=0.75", "depth=2.0")
+    assert features.raw(np.array([[20.0, 2.0, 0.0]])).tolist() == [[20.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]]
+    two = DesignSpace((LOAD, Parameter.of_choices("system", ("frame", "wall"))))
+    assert feature_map("design", two).names == ("load", "system=wall")
+    text = (
+        'simulator = { elsewhere = true }\nclassifier.features.expressions = { moment = "load * depth" }\n'
+        'constraints = ["depth * 20 <= load"]\n[space]\nload = { low = 5, high = 60 }\ndepth = { choices = [0.5, 2] }'
+    )
+    campaign = Campaign.of(parse_settings(text, "f"))
+    assert campaign.features.raw(np.array([[30.0, 1.0]])).tolist() == [[30.0, 1.0, 60.0]]
+    assert campaign.space.meets_constraints(np.array([[30.0, 0.0], [30.0, 1.0]])).tolist() == [True, False]
+
+
+def test_correlated_variables_beside_choices_are_decorrelated() -> None:
+    space = DesignSpace((SOIL, LOAD, Parameter("width", 1.0, 2.0)), correlation=(("load", "width", 0.9),))
+    features = feature_map("decorrelated", space)
+    assert features.names == ("soil=A", "soil=B", "soil=soft clay", "load", "width_given_load")
+    F = features(space.sobol(1024, np.random.default_rng(0)))
+    assert abs(np.corrcoef(F[:, 3], F[:, 4])[0, 1]) < 0.05
+
+
+CAMPAIGN = """
+simulator = { KIND, margins = ["margin"] }
+seed = 4
+
+[space]
+load = { low = 5.0, high = 60.0, unit = "kN" }
+storeys = { low = 1, high = 3, step = 1 }
+soil = { choices = ["A", "B", "soft clay"], probabilities = [0.2, 0.5, 0.3] }
+system = { choices = ["frame", "wall"] }
+
+[sampling]
+initial = 20
+budget = 50
+"""
+
+CODE = """
+FACTORS = {"A": 0.8, "B": 1.0, "soft clay": 1.7}
+
+def frame(design):
+    assert isinstance(design["storeys"], int)
+    system = {"frame": 1.0, "wall": 0.7}[design["system"]]
+    return 50.0 - FACTORS[design["soil"]] * system * design["load"] - 4.0 * design["storeys"]
+"""
+
+
+def truth(space: DesignSpace, X: np.ndarray) -> np.ndarray:
+    """Which designs, (n, 4), fail."""
+    columns = pd.DataFrame(space.columns(X))
+    factor = columns["soil"].map({"A": 0.8, "B": 1.0, "soft clay": 1.7}).to_numpy(float)
+    factor = factor * columns["system"].map({"frame": 1.0, "wall": 0.7}).to_numpy(float)
+    return np.asarray(50.0 - factor * columns["load"] - 4.0 * columns["storeys"] <= 0.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    campaign = CAMPAIGN.replace("KIND", 'python = "mine:frame"')
+    return ran_in(tmp_path_factory.mktemp("choices"), campaign, CODE)
+
+
+def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
+    with open_run(folder / "run", write=True, code=folder) as run:
+        table = run.simulations
+        assert table["soil"].cat.categories.tolist() == ["A", "B", "soft clay"]
+        assert not table.duplicated(["load", "storeys", "soil", "system"]).any()
+        X = run.space.random(2000, np.random.default_rng(1))
+        said = run.predict(pd.DataFrame(run.space.columns(X)))["p_failure"] > 0.5
+        assert (said != truth(run.space, X)).mean() < 0.01
+        estimate = run.probability(fixed={"soil": "soft clay"}).estimate
+        there = X[X[:, 2] == 2.0]
+        assert estimate.probability == pytest.approx(truth(run.space, there).mean(), abs=0.06)
+        for request, rule in (
+            (lambda: run.fragility(against="soil"), "against: soil has choices without order"),
+            (lambda: run.design(0.2, free=["soil"]), "free: soil has choices without order"),
+            (lambda: run.probability(fixed={"soil": "D"}), "soil: must be one of A, B, soft clay, got 'D'"),
+        ):
+            with pytest.raises(InputError, match=rule):
+                request()
+
+
+def test_a_question_has_some_of_the_choices_with_other_probabilities(folder: Path) -> None:
+    with open_run(folder / "run", code=folder) as run:
+        asked = {}
+        for name, line in {
+            "one": 'soil = { choices = ["soft clay", "A"], probabilities = [0.9, 0.1] }',
+            "other": 'soil = { choices = ["A", "soft clay"] }',
+            "certain": 'soil = { value = "soft clay" }',
+        }.items():
+            (folder / f"{name}.toml").write_text(f"[space]\n{line}\n")
+            asked[name] = run.asked(folder / f"{name}.toml")
+        assert isinstance(asked["one"], Question)
+        assert asked["one"].space.parameters[2].probabilities == (0.1, 0.0, 0.9)
+        assert len({question.digest for question in asked.values()}) == 3
+        assert asked["certain"].fixed == {"soil": 2.0}
+        (folder / "bad.toml").write_text('[space]\nsoil = { choices = ["A", "D"] }\n')
+        with pytest.raises(InputError, match=r"space\.soil\.choices: must be one of A, B, soft clay, got 'D'"):
+            run.asked(folder / "bad.toml")
+
+
+def test_tables_have_the_choices_and_a_wrong_one_is_named(folder: Path, tmp_path: Path) -> None:
+    run, table, out = str(folder / "run"), tmp_path / "d.csv", tmp_path / "p.csv"
+    table.write_text("storeys,soil,load,system\n2,soft clay,30,wall\n2,D,30,wall\n")
+    refused = activefail("predict", run, "--csv", str(table), "--out", str(out))
+    assert "row 2 (line 3), column soil: must be one of A, B, soft clay, got 'D'" in refused.err
+    table.write_text("storeys,soil,load,system\n2,soft clay,30,wall\n")
+    assert activefail("predict", run, "--csv", str(table), "--out", str(out)).code == 0
+    assert out.read_text().splitlines()[1].startswith("2,soft clay,30,wall,")
+    assert activefail("export", run, "--csv", str(out)).code == 0
+    assert activefail("export", run, "--parquet", str(tmp_path / "s.parquet")).code == 0
+    assert set(pd.read_csv(out)["soil"]) == {"A", "B", "soft clay"}
+    assert set(pd.read_parquet(tmp_path / "s.parquet")["system"]) == {"frame", "wall"}
+
+
+def test_choices_are_simulated_elsewhere_by_their_names(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(CAMPAIGN.replace("KIND", "elsewhere = true"))
+    with create_run(tmp_path / "run", tmp_path / "c.toml") as run:
+        asked = run.ask(20)
+        assert run.tell(asked.assign(margin=np.where(truth(run.space, _numbers(run.space, asked)), -1.0, 1.0))) == 20
+        with pytest.raises(InputError, match=r"row 0, column soil: must be '\w.*', as handed out with id 0"):
+            run.tell(asked.assign(margin=1.0, soil=np.where(asked["soil"] == "A", "B", "A"))[:1])
+        new = {"load": [20.0], "storeys": [2], "soil": ["soft clay"], "system": ["wall"], "margin": [1.0]}
+        assert run.add(new) == 1
+        with pytest.raises(InputError, match=r"row 0, column soil: must be one of A, B, soft clay, got 'clay'"):
+            run.add({**new, "soil": ["clay"]})
+    assert activefail("ask", str(tmp_path / "run"), "--n", "2", "--csv", str(tmp_path / "a.csv")).code == 0
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert set(table["soil"]) <= {"A", "B", "soft clay"}
+
+
+def _numbers(space: DesignSpace, table: pd.DataFrame) -> np.ndarray:
+    """Designs of a table, (n, d), by numbers of choices."""
+    return Table.of_python(table).designs(space)
+
+
+def test_a_program_gets_the_texts_in_its_command_its_environment_and_its_files(tmp_path: Path) -> None:
+    command = 'sh -c "echo {soil} $AF_soil; cat design.json deck; echo margin=1"'
+    text = CAMPAIGN.replace("KIND", f"command = '''{command}''', template = \"deck.in\", pattern = 'margin=(.*)'")
+    (tmp_path / "c.toml").write_text(text)
+    (tmp_path / "deck.in").write_text("soil {soil}, {storeys} storeys\n")
+    with create_run(tmp_path / "run", tmp_path / "c.toml", code=tmp_path) as run:
+        run.take(20, workers=2)
+        for folder, soil in zip(run.simulations["folder"], run.simulations["soil"], strict=True):
+            said = (Path(folder) / "stdout.txt").read_text()
+            assert said.startswith(f"{soil} {soil}\n{{")
+            assert json.loads((Path(folder) / "design.json").read_text())["soil"] == soil
+            assert f"soil {soil}, " in said
