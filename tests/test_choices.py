@@ -16,7 +16,9 @@ from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.csv_table import Table
 from activefail.errors import InputError
+from activefail.explorer.answers import Answers
 from activefail.features import feature_map
+from activefail.figures.outcome_planes import coordinates
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
 
@@ -157,6 +159,18 @@ def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
         ):
             with pytest.raises(InputError, match=rule):
                 request()
+
+
+def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
+    with open_run(folder / "run", code=folder) as run:
+        answers, planes = Answers(run.findings), coordinates(run.findings).planes
+        about, point = answers.about(), answers.about()["presets"][0]["point"]
+        assert [one["choices"] for one in about["variables"]][2:] == [("A", "B", "soft clay"), ("frame", "wall")]
+        assert {*about["plane"]} == {"load", "storeys"}
+        assert {(plane.x, plane.y) for plane in planes} <= {(0, 1), (1, 0)}
+        assert "svg" in answers.plane(point, 0, 1, "failure")
+        with pytest.raises(InputError, match="soil has choices without order, so it has no axis"):
+            answers.plane(point, 0, 2, "failure")
 
 
 def test_a_question_has_some_of_the_choices_with_other_probabilities(folder: Path) -> None:

@@ -144,18 +144,25 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
     for column, one in enumerate(space.parameters):
         middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
-    # Choices have no axes.
-    first = [int(column) for column in order if not space.parameters[column].choices][:3]
+    # Choices have no axes; the most influential ones take the place of a third variable.
+    is_choice = np.array([bool(one.choices) for one in space.parameters])
+    first = [int(column) for column in order if not is_choice[column]][:3]
+
+    of_choices: list[Plane] = []
 
     def plane(x: int, y: int, third: int) -> Plane:
-        low, high = space.low[third], space.high[third]
-        first, second, last = (float(low + share * (high - low)) for share in (0.2, 0.5, 0.8))
-        return Plane("plane", x, y, third, (first, second, last), (0.0, 0.0, 0.0))
+        low, high, one = space.low[third], space.high[third], space.parameters[third]
+        values = tuple(float(one.rounded(low + share * (high - low))) for share in (0.2, 0.5, 0.8))
+        return Plane("plane", x, y, third, values, (0.0, 0.0, 0.0))
 
+    for column in [int(column) for column in order if is_choice[column]][: len(first) // 2]:
+        probable = np.argsort(-np.array(space.parameters[column].probabilities), kind="stable")[:3]
+        values = tuple(np.sort(probable).astype(float).tolist())
+        of_choices.append(Plane("plane", first[0], first[1], column, values, (0.0, 0.0, 0.0)))
     match first:
         case [a, b, c]:
             planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
-        case [a, b]:
+        case [a, b] if not of_choices:
             planes = [Plane("plane", a, b, -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
         case _:
             planes = []
@@ -163,8 +170,9 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
         return predict(campaign, findings.classifier, space.nearest(rows)), np.ones(len(rows), dtype=bool)
 
-    width = 0.15 * (space.high - space.low)
-    return Coordinates(variables(campaign), findings.X, middle, at, planes, lambda plane, _: float(width[plane.third]))
+    width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
+    shown = [*of_choices, *planes]
+    return Coordinates(variables(campaign), findings.X, middle, at, shown, lambda plane, _: float(width[plane.third]))
 
 
 @styled()
@@ -196,7 +204,7 @@ def plot_variable_plane(
 @styled()
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
     """Probabilities of all outcomes except the least severe, and the uncertainty, at values of a third feature."""
-    campaign = findings.campaign
+    campaign, parameters = findings.campaign, findings.campaign.space.parameters
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
     whole = c.planes is not PLANES
@@ -238,7 +246,8 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                 axes.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
             if row == 0 and plane.third >= 0:
                 width = c.widths(plane, third)
-                axes.set_title(f"{third_symbol}{between}= {third:.3g} ± {width:.2g}")
+                value = f"{third:.3g} ± {width:.2g}" if width else plain(str(parameters[plane.third].written(third)))
+                axes.set_title(f"{third_symbol}{between}= {value}")
             if column == len(values) - 1:
                 colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
     if blank:

@@ -48,7 +48,7 @@ class Plane:
     x: int
     y: int
     third: int
-    values: tuple[float, float, float]
+    values: tuple[float, ...]
     lines: tuple[float, float, float]
 
 

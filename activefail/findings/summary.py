@@ -65,13 +65,13 @@ def where_lost(
         lost: (n,) which gave no result.
         without_order: names of variables with choices, which are left out.
     """
-    columns = [column for column, name in enumerate(names) if name not in without_order]
-    names, designs = [names[column] for column in columns], designs[:, columns]
     if not lost.any():
         return ""
     text = f"{int(lost.sum())} of {len(lost)} runs gave no result"
-    if lost.all() or not names:
+    columns = [column for column, name in enumerate(names) if name not in without_order]
+    if lost.all() or not columns:
         return text
+    names, designs = [names[column] for column in columns], designs[:, columns]
     ranks = np.argsort(np.argsort(designs, axis=0), axis=0) / max(1, len(lost) - 1)
     apart = ranks[lost].mean(axis=0) - ranks[~lost].mean(axis=0)
     column = int(np.argmax(np.abs(apart)))

@@ -273,11 +273,12 @@ class DesignFindings:
             }
             for look in designed.looks
         ]
+        low, high = (self.campaign.space.written(ends) for ends in (task.low, task.high))
         return json_values(
             {
                 "status": designed.status,
                 "bearing": self.bearing,
-                "free": {name: [task.low[name], task.high[name]] for name in task.free},
+                "free": {name: [low[name], high[name]] for name in task.free},
                 "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
                 **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
                 "confidence": task.confidence,

@@ -136,7 +136,8 @@ def write_curves(findings: FragilityFindings, target: Target) -> None:
 
 
 def _row(findings: FragilityFindings, level: float, kind: str, outside: float | str) -> dict[str, Any]:
-    row: dict[str, Any] = {findings.ladder.name: float(level), "kind": kind, "outside_design_space": outside}
+    level = findings.ladder.levels.dtype.type(level).item()
+    row: dict[str, Any] = {findings.ladder.name: level, "kind": kind, "outside_design_space": outside}
     for one in findings.boundaries:
         name = f"p_{one.outcome}"
         estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)

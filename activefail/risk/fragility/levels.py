@@ -100,6 +100,7 @@ def ladder_of(
         levels = levels[[question.at({against: level}).has_designs for level in levels.tolist()]]
     if len(levels) < 2:
         raise InputError(f"{_BOUNDS}: must hold two levels at which designs exist, got {low:g},{high:g}.")
+    levels = known_one.column(levels) if known_one is not None else levels
     return Ladder(against, known_one.unit if known_one else "", levels, is_log, in_steps)
 
 
