@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from activefail.campaign.question import Question
     from activefail.comparison.equivalent import ComparisonFindings
     from activefail.execution.executor import Executor
-    from activefail.findings.estimates import ErrorFindings, ProbabilityFindings
+    from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
     from activefail.report.evidence import ReportFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
@@ -116,22 +116,27 @@ def _range(text: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class VerifyRequest(Request["ErrorFindings"]):
+class VerifyRequest(Request["ErrorFindings | SurfaceFindings"]):
     """Estimate the classifier's error over the design space.
 
-    Fresh simulations give the estimate and its interval.
+    Fresh simulations give the estimate and its interval. If the simulator does not repeat, no design is wrong; they
+    score the classifier's probabilities.
     """
 
     simulations: int = option(200, f"{SIMULATIONS}.", low=10, high=1_000_000)
     confidence: float = confidence(0.9, "of the interval")
 
-    def answer(self, run: "Run") -> "ErrorFindings":
-        from activefail.findings.estimates import ErrorFindings
+    def answer(self, run: "Run") -> "ErrorFindings | SurfaceFindings":
+        from activefail.findings.estimates import ErrorFindings, SurfaceFindings
         from activefail.verification.error import verify
+        from activefail.verification.surface import verify_surface
 
+        asked = self.simulations, self.confidence
         with estimating(run, self.executor, self.stage) as estimator:
-            error = verify(estimator, self.simulations, self.confidence)
-        return ErrorFindings(error, run.boundary, run.summary.done, estimator.iteration)
+            of = run.boundary, run.summary.done, estimator.iteration
+            if not estimator.classifier.repeatable:
+                return SurfaceFindings(verify_surface(estimator, *asked), *of)
+            return ErrorFindings(verify(estimator, *asked), *of)
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,8 @@ class Run:
         if budget is None:
             return
         check_whole("budget", budget, 2)
-        check_enough_designs(self.space, budget)
+        if self.campaign.settings.is_repeatable:
+            check_enough_designs(self.space, budget)
         if budget < (done := self.history.asked_for):
             raise InputError(
                 f"budget: must be at least {done}, the number of recorded simulations that count towards it, got "

@@ -131,6 +131,7 @@ def propose(
     failed: Array | None = None,
     widening: float = 1.0,
     answers: Answers | None = None,
+    repeatable: bool = True,
 ) -> Array:
     """q designs, (q, d), where a label, or a margin, is most valuable for the latent's boundary.
 
@@ -145,6 +146,7 @@ def propose(
         widening: factor that stretches the normal variables of candidates and references, for a boundary that lies
             where the design measure has few designs.
         answers: probability of a result at scaled features; all are certain if None.
+        repeatable: whether equal designs have equal results; otherwise known designs may be chosen again.
     """
     by_margin = isinstance(latent, MarginLatent) and not criterion.is_custom
     model, sample = latent.model, _Sample(space, rng, widening)
@@ -159,7 +161,7 @@ def propose(
     def certain(F: Array) -> Tensor | None:
         return None if answers is None else torch.from_numpy(answers(F))
 
-    seen = np.concatenate([latent.features, *map(scaled, known)])
+    seen = np.concatenate([latent.features, *map(scaled, known)])[: None if repeatable else 0]
     if by_margin:
         X, references, make = candidates_by_margin(model, features, space, q, rng)
         F, block = scaled(X), None
@@ -371,6 +373,7 @@ def propose_shared(
                 failed=failed,
                 widening=widening,
                 answers=classifier.answers if classifier.loses else None,
+                repeatable=classifier.repeatable,
             )
             chosen = np.concatenate([chosen, proposed])
     return chosen

@@ -119,7 +119,8 @@ class Campaign:
                 raise InputError(
                     f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
                 )
-        check_enough_designs(space, settings.sampling.budget)
+        if settings.is_repeatable:
+            check_enough_designs(space, settings.sampling.budget)
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model(), check_features)
@@ -267,6 +268,7 @@ def _simulator(
             lost |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
             lost |= {"templates": tuple(spec.template), "copies": tuple(spec.copied)}
             lost |= {"pattern": spec.pattern, "output": spec.output, "cores": spec.cores}
+            lost |= {"repeatable": settings.is_repeatable}
             program = CommandSimulator(
                 space, spec.command, code, folder, *returns, levels=spec.levels_of_number, **lost
             )

@@ -263,6 +263,9 @@ class OutcomeSettings(Section):
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
         lost: what a run without a result means: "unknown", either outcome; "failure", the most severe outcome, where
             non-convergence is collapse; "impossible", a design that does not exist. For all causes, or by cause.
+        repeatable: whether equal designs have equal results. If not, results are noisy: every run is a result of its
+            own, and the boundary is where an outcome has probability one half. If this is left out, one design is
+            simulated twice, and different results end the campaign.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
@@ -270,6 +273,7 @@ class OutcomeSettings(Section):
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
     lost: Lost | dict[CAUSES, Lost] = "unknown"
+    repeatable: bool | None = None
 
     @field_validator("lost", mode="before")
     @classmethod

@@ -124,6 +124,9 @@ class CampaignSettings(Section):
             defaults["sampling"] = {"initial": max(12, 2 * variables), "batch": 1}
             # Of outcomes alone this criterion misses least of a rare failure; margins have their own.
             defaults["acquisition"] = {"criterion": "eavc"}
+        elif values["simulator"].get("repeatable") is False:
+            # Entropy prefers designs whose labels are noise, whatever is known of them.
+            defaults["acquisition"] = {"criterion": "bald"}
         outcomes = values["simulator"].get("outcomes")
         if isinstance(outcomes, list) and outcomes:
             defaults["acquisition"] = defaults.get("acquisition", {}) | {"boundary": outcomes[-1]}
@@ -172,6 +175,12 @@ class CampaignSettings(Section):
         return self
 
     @model_validator(mode="after")
+    def _verifies_what_can_be_wrong(self) -> Self:
+        if self.error_rule is not None and not self.is_repeatable:
+            raise ValueError("`stop.error` requires a simulator that repeats: with noise, no design is simply wrong")
+        return self
+
+    @model_validator(mode="after")
     def _takes_no_fresh_simulations_elsewhere(self) -> Self:
         if isinstance(self.simulator, ElsewhereSettings):
             rules = {
@@ -201,6 +210,11 @@ class CampaignSettings(Section):
         has_features = isinstance(self.classifier.features, PythonFeaturesSettings)
         chooses = isinstance(self.acquisition.criterion, PythonSettings)
         return simulates or has_features or self.classifier.is_custom or chooses
+
+    @property
+    def is_repeatable(self) -> bool:
+        """Whether equal designs have equal results, as far as the settings say."""
+        return isinstance(self.simulator, str) or self.simulator.repeatable is not False
 
     @property
     def is_elsewhere(self) -> bool:

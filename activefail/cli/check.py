@@ -12,14 +12,13 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.simulators.interface import Results
 
 
 def check(campaign: CampaignFile) -> None:
     """Simulate one design of a campaign twice, and show what activefail understands.
 
-    Shows variables, simulator, outcome, margins and time. The two results must agree: a campaign needs a simulator that
-    gives the same result for the same design. No run folder is created.
+    Shows variables, simulator, outcome, margins and time. The two results must agree, unless the file says with
+    `simulator.repeatable` whether they do. No run folder is created.
     """
     from activefail.opening import campaign_for
     from activefail.simulators.command import CommandSimulator
@@ -79,12 +78,13 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """The design in the middle of the space, or another if that is infeasible, simulated twice, as titles and texts.
 
     Raises:
-        SimulationError: if a simulation fails or the two results differ.
+        SimulationError: if a simulation fails, or the two results differ and the file does not say whether they may.
     """
     import numpy as np
 
     from activefail.execution.local import local_executor
     from activefail.simulators.command import CommandSimulator
+    from activefail.simulators.repeats import IF_DIFFERENT, differences, in_words
 
     simulator, space = campaign.simulator, campaign.space
     X = space.from_unit(np.full((1, space.dimension), 0.5))
@@ -99,31 +99,17 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
             results.append(executor.run(simulator, X))
         for fault in results[-1].faults.values():
             raise SimulationError(f"The simulation failed: {fault}.")
-    first, second = (_in_words(campaign, one) for one in results)
-    yield from first.items()
+    yield from in_words(simulator, results[0]).items()
     seconds = max(float(one.seconds[0]) for one in results)
     budget = campaign.settings.sampling.budget
     yield (
         "time",
         f"{seconds:.3g} s; {budget} simulations, the budget, take {seconds * budget:.3g} s one by one",
     )
-    if first != second:
-        changed = [name for name in first if first[name] != second[name]]
-        differences = "; ".join(f"{name} {first[name]}, then {second[name]}" for name in changed)
-        raise SimulationError(
-            f"The same design has two results: {differences}. A campaign needs a simulator that gives the same result "
-            "for the same design, for example with a fixed random seed."
-        )
-    yield "agrees", "a second simulation of the design has the same result"
-
-
-def _in_words(campaign: "Campaign", results: "Results") -> dict[str, str]:
-    """The result of a design, by title."""
-    from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
-
-    simulator, code = campaign.simulator, int(results.outcome[0])
-    outcome = "numerical_failure" if code == NUMERICAL_FAILURE else simulator.outcomes[code]
-    cause = cause_name(simulator.causes, int(results.cause[0]))
-    margins = zip(simulator.margins, results.margins[0].tolist(), strict=True)
-    words = {"outcome": f"{outcome} ({cause})" if cause else outcome}
-    return words | {name: "undefined" if value != value else repr(value) for name, value in margins}
+    custom = campaign.settings.simulator
+    if not (text := differences(simulator, results[0], results[1])):
+        yield "agrees", "a second simulation of the design has the same result"
+    elif isinstance(custom, str) or custom.repeatable is None:
+        raise SimulationError(f"The same design has two results: {text}. {IF_DIFFERENT}")
+    else:
+        yield "differs", f"{text}; the file states simulator.repeatable"

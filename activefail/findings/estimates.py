@@ -1,7 +1,7 @@
 """What a campaign knows of the classifier's error and of an outcome's probability, with what is assumed."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
@@ -11,7 +11,7 @@ from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
-from activefail.shares import percent
+from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
@@ -19,6 +19,7 @@ from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.error import ErrorEstimate
+from activefail.verification.surface import SurfaceScore
 from activefail.visible import or_worse, visible
 
 BOUND_CONFIDENCE = 0.9
@@ -100,6 +101,7 @@ class ProbabilityFindings:
         model: the probability by the classifier alone.
         lost: the same if none, and if all, of the runs that are probably lost end beyond; None if none was lost.
         of_question: what the question and the simulator assume, as sentences.
+        repeatable: whether equal designs have equal results.
     """
 
     outcome: str
@@ -116,6 +118,7 @@ class ProbabilityFindings:
     of_question: tuple[str, ...] = ()
     is_clipped: bool = False
     lost: tuple[float, float] | None = None
+    repeatable: bool = True
 
     @classmethod
     def of(
@@ -150,6 +153,7 @@ class ProbabilityFindings:
             model=model,
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             lost=lost,
+            repeatable=classifier.repeatable,
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.data.is_clipped,
         )
 
@@ -257,6 +261,11 @@ class ProbabilityFindings:
                     if self.question
                     else "Continue the campaign for a narrower interval."
                 )
+            )
+        if not self.repeatable:
+            sentences.append(
+                "The simulator does not repeat: the probability includes its noise. Contradictions are results that "
+                "the noise does not explain."
             )
         if self.lost is not None:
             sentences.append(
@@ -380,3 +389,53 @@ class ErrorFindings:
         """The findings as JSON values."""
         of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
         return {"boundary": self.boundary, **self.estimate.as_json(), **of_campaign}
+
+
+@dataclass(frozen=True)
+class SurfaceFindings:
+    """How well the probabilities hold of a classifier whose simulator does not repeat.
+
+    Attributes:
+        estimate: their log score and calibration.
+        boundary: outcome of the target boundary.
+        learned: simulations of the campaign, without fresh ones.
+        iteration: of the classifier.
+    """
+
+    estimate: SurfaceScore
+    boundary: str
+    learned: int
+    iteration: int
+
+    exit_code = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        one = self.estimate
+        failed = f"; {one.numerical_failures} failed numerically" if one.numerical_failures else ""
+        classes = [
+            (
+                f"P {part.low_edge:g} to {part.high_edge:g}",
+                f"{percent(part.observed)} observed ({interval_percent(part.low, part.high)}), "
+                f"{percent(part.predicted)} predicted, {part.simulations} simulations",
+            )
+            for part in one.calibration
+        ]
+        rows = [
+            ("campaign", f"{self.learned} simulations, iteration {self.iteration}"),
+            (
+                "log score",
+                f"{one.log_score:.3f} ({one.low:.3f} to {one.high:.3f}) nat: mean log P of the side of the boundary of "
+                f"{self.boundary} on which {one.simulations} fresh simulations ended{failed}",
+            ),
+            ("expected", f"{one.expected_log_score:.3f} by the classifier's own probabilities, without an interval"),
+            *classes,
+            ("", f"intervals with {100 * one.confidence:g} % confidence each"),
+        ]
+        return titled(rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
+        return {"boundary": self.boundary, **asdict(self.estimate), **of_campaign}

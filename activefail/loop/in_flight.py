@@ -63,15 +63,17 @@ class HandedOut:
         )
         # A given design of the hypercubes is not among those that are left.
         covering = campaign.space.contains(given) & ~are_among(given, hypercubes)
-        left = self._new(hypercubes)
+        left = self._new(campaign, hypercubes)
         left = left[: max(len(left) - int(covering.sum()), min(_LEAST, size) - handed_out, 0)]
         is_needed = not self.history.answered.any() and not len(self.in_flight) and handed_out == sets * size
-        return self._new(initial_designs(campaign, sets + 1)) if is_needed and not len(left) else left
+        return self._new(campaign, initial_designs(campaign, sets + 1)) if is_needed and not len(left) else left
 
     def can_learn(self, campaign: Campaign) -> bool:
         """Whether the initial design was handed out, and some simulation gave an outcome."""
         return bool(self.history.answered.any()) and not len(self.initial_left(campaign))
 
-    def _new(self, designs: Array) -> Array:
+    def _new(self, campaign: Campaign, designs: Array) -> Array:
+        if not campaign.settings.is_repeatable:  # equal designs are runs of their own, handed out in order
+            return designs[(self.asked.origin == INITIAL).sum() :]
         recorded = self.history.designs.reshape(-1, designs.shape[1])
         return designs[~are_among(designs, np.concatenate([self.asked.designs, recorded]))]

@@ -37,10 +37,11 @@ _BETTER = 1.0
 def learner_of(campaign: Campaign) -> Learner:
     """How latents are learned from outcomes."""
     custom, kernel = campaign.learner, campaign.settings.classifier.kernel
+    repeatable = campaign.settings.is_repeatable
     if MODEL_KEY in custom:
-        return CustomModel(custom[MODEL_KEY])
+        return CustomModel(custom[MODEL_KEY], repeatable)
     likelihood = custom.get(LIKELIHOOD_KEY, Probit)
-    return VariationalGP(kernel if isinstance(kernel, str) else custom[KERNEL_KEY], likelihood)
+    return VariationalGP(kernel if isinstance(kernel, str) else custom[KERNEL_KEY], likelihood, repeatable)
 
 
 def learn_from(campaign: Campaign, history: History, warm: Classifier | None = None) -> Classifier:

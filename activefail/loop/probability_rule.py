@@ -169,7 +169,9 @@ def contradicted(campaign: Campaign, classifier: Classifier, batch: History) -> 
     margin = None
     if isinstance(latent, MarginLatent):
         margin = margin_of(campaign, classifier, severity, batch.outcome, batch.margins)
-    wrong = contradictions(latent, campaign.features(batch.designs), batch.outcome >= severity, margin)
+    wrong = contradictions(
+        latent, campaign.features(batch.designs), batch.outcome >= severity, margin, classifier.repeatable
+    )
     return np.asarray(wrong & (batch.outcome != NUMERICAL_FAILURE))
 
 

@@ -83,11 +83,13 @@ def propose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int,
             chosen=chosen_before + len(designs),
             pending=np.concatenate(pending) if any(map(len, pending)) else None,
         )
-        known = np.concatenate([history.designs, asked.designs, designs])
-        designs = np.concatenate([designs, proposed[~are_among(proposed, known)]])
+        if campaign.settings.is_repeatable:
+            known = np.concatenate([history.designs, asked.designs, designs])
+            proposed = proposed[~are_among(proposed, known)]
+        designs = np.concatenate([designs, proposed])
         if len(designs) == n:
             break
-    if len(designs) < n and campaign.space.design_count < np.inf:
+    if len(designs) < n and campaign.space.design_count < np.inf and campaign.settings.is_repeatable:
         # Few designs are left, which no search may have met.
         known = np.concatenate([history.designs, asked.designs, designs])
         others = np.unique(campaign.space.sobol(_LEFT, rng), axis=0)

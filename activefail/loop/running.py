@@ -25,7 +25,8 @@ from activefail.loop.telling import record
 from activefail.record.asked import Asked
 from activefail.record.batch import CHECK, INITIAL
 from activefail.record.store import Store
-from activefail.simulators.interface import Results, cause_name
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
+from activefail.simulators.repeats import IF_DIFFERENT, differences
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import verify_by_rule
@@ -34,6 +35,12 @@ from activefail.verification.stored_sets import VALIDATION, first_fault_text, si
 
 _WAIT = 0.5
 """Seconds between checks for a stop request."""
+
+_REPEATS = ("repeats",)
+"""Under which a store keeps what is wrong with a second result of one design; empty if nothing is."""
+
+_SAME = 1e-3
+"""Largest difference of two results' margins, in standard deviations of all, that is no noise: as `NUGGET` says."""
 
 _LEAST_FOR_RATE = 20
 """Fewest simulations for which the share of numerical failures is checked."""
@@ -70,6 +77,8 @@ def run(
     """
     observer = observer or Observer()
     observer.faults.clear()
+    if different := store.recall(_REPEATS):
+        raise SimulationError(different)
     loop = _Loop(
         campaign=campaign,
         store=store,
@@ -150,6 +159,7 @@ class _Loop:
             if answered is None:
                 return bool(ended)
             record(store, *answered)
+            self.check_repeats(*answered)
 
     def validation_set(self) -> tuple[Array, NDArray[np.int8]] | None:
         """Designs and outcomes of the validation set; None if the campaign has none."""
@@ -213,6 +223,32 @@ class _Loop:
                 f"{self.failure_limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops "
                 f"here. `activefail export` shows their causes{advice}" + first_fault_text(self.observer.faults)
             )
+
+    def check_repeats(self, designs: Asked, results: Results) -> None:
+        """Simulate one design again, once in a campaign whose file does not say whether its simulator repeats.
+
+        Raises:
+            SimulationError: if the two results differ.
+        """
+        simulator, store, rows = self.campaign.simulator, self.store, np.flatnonzero(results.outcome >= 0)
+        custom = self.campaign.settings.simulator
+        is_told = isinstance(custom, str) or custom.repeatable is not None
+        if is_told or not len(rows) or store.recall(_REPEATS) is not None:
+            return
+        again = self.executor.run(simulator, designs.designs[rows[:1]])
+        if again.outcome[0] == NUMERICAL_FAILURE:
+            return  # which shows nothing
+        with np.errstate(invalid="ignore"):
+            tolerance = _SAME * History.of(store.batches).training.margins.std(axis=0)
+        text = differences(simulator, results[rows[:1]], again, tolerance)
+        if text:
+            text = (
+                f"The design with id {designs.id[rows[0]]} has two results: {text}. {IF_DIFFERENT} Begin the campaign "
+                "in another folder then; `activefail export` here and `activefail add` there keep the results so far."
+            )
+        store.remember(_REPEATS, text)
+        if text:
+            raise SimulationError(text)
 
     def answered(self, flight: Asked) -> tuple[Asked, Results] | None:
         """Simulate the designs in flight: in batches all of them, otherwise until some have results.

@@ -75,5 +75,6 @@ def predicting(campaign: Campaign, classifier: Classifier, history: History) -> 
 def _saved(campaign: Campaign, state: Mapping[str, NDArray[Any]], history: History) -> SavedClassifier:
     known, kernel = history.training, campaign.settings.classifier.kernel
     assert isinstance(kernel, str)
-    margins = margins_of(campaign, known)
-    return saved_classifier(state, known.designs, campaign.simulator.outcomes, campaign.features, kernel, margins)
+    margins, repeatable = margins_of(campaign, known), campaign.settings.is_repeatable
+    outcomes, features = campaign.simulator.outcomes, campaign.features
+    return saved_classifier(state, known.designs, outcomes, features, kernel, margins, repeatable)

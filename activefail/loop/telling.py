@@ -23,6 +23,9 @@ from activefail.space import Array
 _CORRECTING = "to replace it: `tell --correct`, or `correct=True` in Python"
 
 
+_IF_NOISY = "; if both are right, the campaign needs `simulator.repeatable = false`"
+
+
 class RowsError(InputError):
     """Rows of a table of results that cannot be recorded.
 
@@ -212,30 +215,33 @@ def add(
         before_commit: as for `tell`.
 
     Returns:
-        Number of new simulations. One that is recorded already with this result is not counted.
+        Number of new simulations. One that is recorded already with this result is not counted, unless the simulator
+        does not repeat: then every row is a run of its own.
 
     Raises:
-        InputError: if a design is in flight, or is recorded with another result; nothing is recorded then.
+        InputError: if a design is in flight, or is recorded with another result although the simulator repeats; nothing
+            is recorded then.
         StoreError: if the simulations cannot be recorded.
     """
     handed = HandedOut.of(store)
     history = handed.history
     in_flight = dict(zip(bits_of(handed.in_flight.designs), handed.in_flight.id.tolist(), strict=True))
-    recorded = {design: row for row, design in enumerate(bits_of(history.designs))}
-    new: dict[bytes, int] = {}
+    recorded: dict[bytes | int, int] = {design: row for row, design in enumerate(bits_of(history.designs))}
+    new: dict[bytes | int, int] = {}
     with _rows_of(campaign, results) as reasons:
         for row, design in enumerate(bits_of(X)):
             known: History | Results
             if design in in_flight:
                 reasons[row] = f"the design is in flight with id {in_flight[design]} (use `tell` to record its result)"
                 continue
-            if design in recorded:
+            own = design if campaign.settings.is_repeatable else row
+            if own in recorded:
                 known, place = history, recorded[design]
                 where = f"as id {history.id[place]} ({_CORRECTING})"
             else:
-                known, place, where = results, new.setdefault(design, row), "in an earlier row"
+                known, place, where = results, new.setdefault(own, row), "in an earlier row"
             if not _is_same(known, place, results, row):
-                reasons[row] = f"the same design has the result {_shown(campaign, known, place)} {where}"
+                reasons[row] = f"the same design has the result {_shown(campaign, known, place)} {where}{_IF_NOISY}"
     before_commit()
     if new:
         rows, ids = np.array(list(new.values())), handed.next_id + np.arange(len(new))

@@ -56,7 +56,9 @@ def is_whole(designs: int, answered: int) -> bool:
     return answered >= _ANSWERED * designs
 
 
-def contradictions(latent: AnyLatent, F: Array, beyond: NDArray[np.bool_], margin: Array | None) -> NDArray[np.bool_]:
+def contradictions(
+    latent: AnyLatent, F: Array, beyond: NDArray[np.bool_], margin: Array | None, repeatable: bool = True
+) -> NDArray[np.bool_]:
     """Which simulations, (n,), contradict a latent that has not seen them: a wrong side, or a margin far off.
 
     Args:
@@ -64,8 +66,12 @@ def contradictions(latent: AnyLatent, F: Array, beyond: NDArray[np.bool_], margi
         F: (n, m) scaled features.
         beyond: (n,) whether each simulation ended beyond the boundary.
         margin: (n,) in relation to the boundary; None if only the side counts.
+        repeatable: whether equal designs have equal results; otherwise noise explains a side that is not improbable.
     """
-    wrong = (latent.moments(F).mean > 0.0) != beyond
+    moments = latent.moments(F)
+    wrong = (moments.mean > 0.0) != beyond
+    if not repeatable:
+        wrong &= np.abs(moments.standardised) > _FARTHEST
     if isinstance(latent, MarginLatent) and margin is not None:
         wrong |= np.abs(latent.deviations(F, margin)) > _FARTHEST
     return np.asarray(wrong)

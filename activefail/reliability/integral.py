@@ -105,7 +105,7 @@ class BoundariesOf:
     def __call__(self, X: Array) -> Array:
         """The probits of P(at least as severe) of designs, (n, d) -> (n, b)."""
         F = finite(self.features, X)
-        z = predicted(self.classifier.latents, self.features, X, F).boundaries
+        z = predicted(self.classifier, X, F).boundaries
         if self.outcome is not None:
             z = z[:, [self.classifier.outcomes.index(self.outcome) - 1]]
         if self.classifier.unknown is not None and self.lost != "learned":

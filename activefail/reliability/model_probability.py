@@ -92,16 +92,18 @@ def posterior_sd(
     uncertain = doubt(standardised)
     part = weight * uncertain + LEAST
     rows = rng.choice(len(F), POINTS, p=part / part.sum())
-    beyond = (_paths(latent, F[rows], rng) > 0.0).astype(np.float64)
+    paths, noise = _paths(latent, F[rows], rng, latent.trained.noise), latent.trained.noise
+    beyond = ndtr(paths / noise) if noise else (paths > 0.0).astype(np.float64)
     if impossible is not None:
         beyond *= ndtr(-_paths(impossible, F[rows], rng))
     deviations = (beyond - ndtr(standardised[rows])) / np.maximum(uncertain[rows], LEAST)
     return float(part.mean()) * float(deviations.mean(axis=1).std()) / share
 
 
-def _paths(latent: AnyLatent, F: Array, rng: np.random.Generator) -> Array:
-    """Joint paths of a latent at scaled features, (n, m) -> (paths, n)."""
+def _paths(latent: AnyLatent, F: Array, rng: np.random.Generator, noise: float = 0.0) -> Array:
+    """Joint paths of a latent, without a noise that its model includes, at scaled features, (n, m) -> (paths, n)."""
     mean, covariance = joint(latent.model, F)
+    covariance[np.diag_indices(len(F))] -= noise**2
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(mean + rng.standard_normal((_PATHS, len(F))) @ root.T)

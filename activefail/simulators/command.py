@@ -1,6 +1,7 @@
 """Custom simulators that are programs, run once for each design."""
 
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -10,7 +11,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,7 @@ class CommandSimulator:
         pattern: regular expression with one group, whose last match in `output` is the answer; None reads `{out}`.
         output: a file in the folder.
         cores: of one simulation.
+        repeatable: whether a design has one folder; otherwise another run has its own, with a number.
     """
 
     space: DesignSpace
@@ -89,6 +91,7 @@ class CommandSimulator:
     pattern: str | None = None
     output: str = "stdout.txt"
     cores: int = 1
+    repeatable: bool = True
 
     causes = ("",)
     releases_gil = False
@@ -173,9 +176,9 @@ class CommandSimulator:
             )
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):
-            folder = self.folder_of(row)
             for retries_left in reversed(range(1 + self.retries)):
                 try:
+                    folder = self._new_folder(row)
                     answers.append(self._run_once(design, folder))
                     break
                 except (RuntimeError, UnusableAnswerError):
@@ -185,12 +188,22 @@ class CommandSimulator:
                 shutil.rmtree(folder, ignore_errors=True)
         return Results.concatenate(answers)
 
-    def _run_once(self, design: Mapping[str, Any], folder: Path) -> Results:
-        # An answer left by an earlier attempt must not be read.
-        shutil.rmtree(folder, ignore_errors=True)
+    def _new_folder(self, x: Array) -> Path:
+        """An empty folder for a run of a design, (d,)."""
+        first = self.folder_of(x)
+        if self.repeatable:
+            # An answer left by an earlier attempt must not be read.
+            shutil.rmtree(first, ignore_errors=True)
         if not self.work.is_dir():
             make_folder(self.work)
-        folder.mkdir()
+        numbered = (first.with_name(f"{first.name}-{number}") for number in itertools.count(2))
+        for folder in itertools.chain([first], numbered):
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
+        return folder
+
+    def _run_once(self, design: Mapping[str, Any], folder: Path) -> Results:
         (folder / "design.json").write_text(json.dumps(design, indent=1) + "\n")
         self._prepare(design, folder)
         assert self.here is not None

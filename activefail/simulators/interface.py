@@ -99,7 +99,8 @@ class Simulator(Protocol):
     indices into them.
 
     **Rows.** The result of a design depends on that design alone: not on other rows, nor on earlier calls. The same
-    design gives the same bits, except for `seconds`. Only then is a resumed campaign bit-identical.
+    design gives the same bits, except for `seconds`, unless `simulator.repeatable` is false. Only then is a resumed
+    campaign bit-identical.
 
     **Threads and processes.** If `releases_gil` is true, `run` is called from several threads at once. Otherwise it is
     called in worker processes, one design at a time. A simulator can be pickled, and gives the same results afterwards.

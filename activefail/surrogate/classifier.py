@@ -26,6 +26,7 @@ class Classifier:
         choices: what each latent is learned from; empty if all are learned from the outcomes alone.
         unknown: positive where a simulation probably gives no result that is known; None if all gave one.
         impossible: positive where a design probably does not exist; None if all did.
+        repeatable: whether equal designs have equal results; otherwise the boundary is where the probability is ½.
     """
 
     outcomes: tuple[str, ...]
@@ -34,6 +35,7 @@ class Classifier:
     choices: tuple[Choice, ...] = ()
     unknown: "Latent | None" = None
     impossible: "Latent | None" = None
+    repeatable: bool = True
 
     @property
     def loses(self) -> bool:
@@ -51,7 +53,7 @@ class Classifier:
 
     def predicted(self, X: Array) -> Predicted:
         """Probabilities of designs, (n, d)."""
-        return predicted(self.latents, self.features, X)
+        return predicted(self, X)
 
     def probabilities(self, X: Array) -> Array:
         """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1."""

@@ -19,7 +19,7 @@ LEARNED_ON = 1000
 MakeKernel = Callable[[int], gpytorch.kernels.Kernel]
 """Number of features -> kernel: what a user's `classifier.kernel` is."""
 
-_POSITIVE = {"transform": torch.exp, "inv_transform": torch.log}
+POSITIVE = {"transform": torch.exp, "inv_transform": torch.log}
 """exp, not softplus: L-BFGS then steps in the logarithm of each scale."""
 
 Bounds = dict[str, tuple[float | None, float | None]]
@@ -78,7 +78,7 @@ def scaled_kernel(
         dimension: number of features.
         of_lengthscale, of_outputscale: mean and standard deviation of the logarithms' normal priors.
     """
-    positive, log_normal = gpytorch.constraints.Positive(**_POSITIVE), gpytorch.priors.LogNormalPrior
+    positive, log_normal = gpytorch.constraints.Positive(**POSITIVE), gpytorch.priors.LogNormalPrior
     base = (SquaredExponential if kernel == "rbf" else Matern52)(
         ard_num_dims=dimension, lengthscale_constraint=positive, lengthscale_prior=log_normal(*of_lengthscale)
     )

@@ -138,10 +138,12 @@ class VariationalGP:
     Attributes:
         kernel: "rbf" or "matern52", or the user's function of the number of features.
         likelihood: makes a GPyTorch likelihood of labels 0 and 1.
+        repeatable: whether equal designs have equal results; otherwise regressions of margins learn their noise.
     """
 
     kernel: str | MakeKernel = "rbf"
     likelihood: Callable[[], Any] = Probit
+    repeatable: bool = True
 
     def default_prior(self, dimension: int) -> Prior:
         """The prior of features with this dimension, with its default parameters."""
@@ -159,9 +161,11 @@ class CustomModel:
 
     Attributes:
         make: (features, labels) -> BoTorch model, of tensors (n, m) and (n,) of 0 and 1.
+        repeatable: as for `VariationalGP`.
     """
 
     make: Callable[[Tensor, Tensor], Model]
+    repeatable: bool = True
 
     def learned(self, F: Array, beyond: NDArray[np.bool_], warm: object = None) -> CustomLatent:
         """As `VariationalGP.learned`; nothing is taken from an earlier latent."""

@@ -26,10 +26,10 @@ from activefail.surrogate.boundary_gp import BoundaryModel, SiteStrategy, joint,
 from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
 from activefail.surrogate.covariance import NUGGET
 from activefail.surrogate.inducing import choose
-from activefail.surrogate.kernels import LEARNED_ON, Bounds, Prior, minimise, scaled_kernel
+from activefail.surrogate.kernels import LEARNED_ON, POSITIVE, Bounds, Prior, minimise, scaled_kernel
 from activefail.surrogate.latent import CustomLatent, Latent
-from activefail.surrogate.margin_data import KERNEL, WARPINGS, MarginData, is_truncated, spread
-from activefail.surrogate.moments import MarginMoments
+from activefail.surrogate.margin_data import KERNEL, NOISE, WARPINGS, MarginData, is_truncated, spread
+from activefail.surrogate.moments import Moments, margin_moments
 from activefail.surrogate.readout import EXACT, MarginReadout, Readout, margin_readout
 
 _ALWAYS, _GROWTH = 30, 0.05
@@ -40,6 +40,9 @@ _SEARCH = {"ftol": 1e-7, "gtol": 1e-3, "maxiter": 200}
 
 _COARSE_SEARCH = {"ftol": 1e-5, "gtol": 1e-3, "maxiter": 200}
 """The same for many points: it costs a tenth of a nat of thousands, and saves half of the steps."""
+
+_FIRST_NOISE = 0.1
+"""Variance of a margin's noise from which it is learned, in units of the margins' own."""
 
 WARPED_ON = 500
 """Most points for choosing a warping by all of them; of more, `_COARSE` choose it and are the starting point."""
@@ -77,9 +80,19 @@ class MarginFit:
         return torch.from_numpy(self.data.support)
 
     @cached_property
-    def nugget(self) -> float:
-        """Variance of a warped margin's noise."""
+    def jitter(self) -> float:
+        """Variance that stands for the finite accuracy of a warped margin."""
         return NUGGET * float(self.prior.variance(self._one).detach())
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the simulator's noise, of a warped margin; 0 if it repeats."""
+        return 0.0 if self.prior.likelihood is None else math.sqrt(float(self.prior.likelihood.noise.detach()))
+
+    @cached_property
+    def nugget(self) -> float:
+        """Variance of a warped margin's noise, whatever its source."""
+        return self.noise**2 or self.jitter
 
     @cached_property
     def mean(self) -> float:
@@ -94,12 +107,12 @@ class MarginFit:
             K = self.prior.covariance(self.support).numpy()
             Kx = None if data.inducing is None else self.prior.covariance(self.support, points).numpy()
             variance = self.prior.variance(points).numpy()
-        return margin_readout(K, Kx, variance, self.mean, *data.observed(self.nugget), self.nugget)
+        return margin_readout(K, Kx, variance, self.mean, *data.observed(self.nugget), self.jitter)
 
     def model(self, threshold: float) -> BoundaryModel:
         """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
-        likelihood.noise = self.nugget
+        likelihood.noise = self.jitter  # the noise is a part of the posterior's variance
         readout, trend, _ = self.readout
         prior, of_latent = Prior(self.prior.covar_module, likelihood, {}), Readout(-readout.weights, readout.root)
         prior.mean_module.initialize(constant=threshold - self.mean)
@@ -132,7 +145,7 @@ class MarginFit:
         of_sites = of_sites - self.nugget
         variance = 1.0 / diagonal - of_sites
         # A site that says almost nothing has a variance that swallows the difference's digits.
-        vague = of_sites > self.nugget / NUGGET
+        vague = of_sites > self.jitter / NUGGET
         if vague.any():
             with_site = self._moments(self.data.points[vague])[1] ** 2
             variance[vague] = with_site / (1.0 - with_site / of_sites[vague])
@@ -190,7 +203,7 @@ def _conditioned(K: Array, y: Array, censored: NDArray[np.bool_], mean: float, s
     return _Conditioned(value + log_evidence, sites, L, cho_solve((L, True), target))
 
 
-def margin_prior(dimension: int) -> Prior:
+def margin_prior(dimension: int, repeatable: bool = True) -> Prior:
     """The prior of a warped margin, without a prior of the output scale, whose unit is the margin's.
 
     The median of a length scale is 2√d, in units of the features' spread. Its prior is narrower than the classifier's:
@@ -198,9 +211,13 @@ def margin_prior(dimension: int) -> Prior:
 
     Args:
         dimension: d, the number of features.
+        repeatable: whether the margin has no noise. That of a simulator that does not repeat is learned.
     """
     center = math.log(2.0 * math.sqrt(dimension))
-    prior = Prior(scaled_kernel(KERNEL, dimension, (center, 1.0), None), None, {})
+    noise = None
+    if not repeatable:
+        noise = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive(**POSITIVE))
+    prior = Prior(scaled_kernel(KERNEL, dimension, (center, 1.0), None), None if noise is None else noise.double(), {})
     prior.covar_module.base_kernel.initialize(lengthscale=math.exp(center))
     return prior
 
@@ -221,23 +238,35 @@ def penalised_likelihood(
     mean, K = prior.mean_module(F[:1]), prior.covariance(F)
     with_nugget = K.detach().numpy().copy()
     n = len(y)
+    noise = () if prior.likelihood is None else (prior.likelihood.noise,)
     # In units of the prior variance, so that any kernel has one.
-    with_nugget[np.diag_indices(n)] += NUGGET * with_nugget.diagonal().mean()
+    with_nugget[np.diag_indices(n)] += float(noise[0].detach()) if noise else NUGGET * with_nugget.diagonal().mean()
     value, sites, L, b = _conditioned(with_nugget, y, censored, float(mean.detach()), sites)
     # At the sites' fixed point the likelihood changes with K as that of Gaussian observations does.
     by_K = 0.5 * (np.outer(b, b) - _inverse(L))
-    by_K[np.diag_indices(n)] += NUGGET * np.trace(by_K) / n
+    by_noise = float(np.trace(by_K))
+    if not noise:
+        by_K[np.diag_indices(n)] += NUGGET * by_noise / n
     log_density = prior.log_density()
     gradient = torch.autograd.grad(
-        (mean, K, log_density),
+        (mean, K, log_density, *noise),
         list(prior.parameters()),
-        (torch.full_like(mean, float(b.sum())), torch.from_numpy(by_K), torch.ones_like(log_density)),
+        (
+            torch.full_like(mean, float(b.sum())),
+            torch.from_numpy(by_K),
+            torch.ones_like(log_density),
+            *(torch.full_like(one, by_noise) for one in noise),
+        ),
     )
     return value + float(log_density.detach()), list(gradient), sites
 
 
 def fit_margin(
-    features: Array, margin: Array, truncated: bool | None = None, warm: MarginFit | None = None
+    features: Array,
+    margin: Array,
+    truncated: bool | None = None,
+    warm: MarginFit | None = None,
+    repeatable: bool = True,
 ) -> MarginFit:
     """Fit a GP to margins.
 
@@ -249,6 +278,7 @@ def fit_margin(
         truncated: whether margins at most 0 are censored; decided by `is_truncated` if None.
         warm: an earlier fit to the first of these points, whose length scales are the starting point. With more than
             `_ALWAYS` points its hyperparameters are kept until the number of points has grown by `_GROWTH`.
+        repeatable: as for `margin_prior`.
 
     Raises:
         ValueError: if there are fewer than two margins, one is not finite, or all are equal; or, truncated, if fewer
@@ -269,11 +299,11 @@ def fit_margin(
     best = warm
     if best is None or truncated != best.data.truncated or min(n, best.learned_on) <= WARPED_ON:
         rows = _over_margins(margin, WARPED_ON if n <= WARPED_ON else min(_COARSE, WARPED_ON))
-        fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
+        fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm, repeatable) for name in WARPINGS]
         best = max(fits, key=lambda fitted: fitted.log_likelihood)
     if n > WARPED_ON:
         rows = _over_margins(margin, LEARNED_ON)
-        best = _fit_warped(features[rows], margin[rows], truncated, best.data.warping, best, _COARSE_SEARCH)
+        best = _fit_warped(features[rows], margin[rows], truncated, best.data.warping, best, repeatable, _COARSE_SEARCH)
     return best if len(best.data.margin) == n else _solved_at(features, margin, replace(best, learned_on=n))
 
 
@@ -317,6 +347,7 @@ def _fit_warped(
     truncated: bool,
     warping: str,
     warm: MarginFit | None,
+    repeatable: bool,
     search: dict[str, float] = _SEARCH,
 ) -> MarginFit:
     censored = (margin <= 0.0) & truncated
@@ -326,9 +357,11 @@ def _fit_warped(
     y = warp(margin / unit)
     exact_y = y[~censored]
     scale = max(float(exact_y.std()), 1e-3)
-    prior = margin_prior(features.shape[1]) if warm is None else copy.deepcopy(warm.prior)
+    prior = margin_prior(features.shape[1], repeatable) if warm is None else copy.deepcopy(warm.prior)
     prior.mean_module.initialize(constant=float(exact_y.mean()))
     prior.covar_module.initialize(outputscale=(2.0 * scale) ** 2)
+    if not repeatable:
+        prior.likelihood.initialize(noise=_FIRST_NOISE * scale**2)
     sites, value = first_sites(censored, scale), math.nan
 
     def negative() -> tuple[torch.Tensor, list[torch.Tensor]]:
@@ -341,6 +374,7 @@ def _fit_warped(
         "mean_module.raw_constant": (float(exact_y.min()) - 20.0 * scale, float(exact_y.max()) + 3.0 * scale),
         "covar_module.raw_outputscale": (log_variance - 4.0, log_variance + 14.0),
         "covar_module.base_kernel.raw_lengthscale": (-4.0, 8.0),
+        NOISE: (log_variance - 14.0, log_variance + 2.0),
     }
     prior.requires_grad_(True)
     minimise(negative, prior.learned, bounds, search)
@@ -396,9 +430,9 @@ class MarginLatent:
         """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
         return self.trained.model(self.threshold)
 
-    def moments(self, F: Array) -> MarginMoments:
-        """Marginal mean and standard deviation at scaled features, (n, m)."""
-        return MarginMoments(*moments(self.model, F))
+    def moments(self, F: Array) -> Moments:
+        """Marginal mean and standard deviation at scaled features, (n, m); in units of the noise, if there is any."""
+        return margin_moments(*moments(self.model, F), self.trained.noise)
 
     def deviations(self, F: Array, margin: Array) -> Array:
         """How far margins, (n,), lie beyond their means at scaled features, (n, m), in standard deviations.
@@ -411,14 +445,14 @@ class MarginLatent:
         """
         own = margin + self.level
         exact = np.isfinite(own) & ~(self.trained.data.truncated & (own <= 0.0))
-        of_latent = self.moments(F)
+        mean, sd = moments(self.model, F)
         warped = self.trained.data.warped(np.where(exact, own, 0.0))
-        return np.where(exact, (self.threshold - warped - of_latent.mean) / of_latent.sd, np.nan)
+        return np.where(exact, (self.threshold - warped - mean) / sd, np.nan)
 
-    def left_out(self) -> MarginMoments:
+    def left_out(self) -> Moments:
         """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
         mean, sd = self.trained.left_out()
-        return MarginMoments(self.threshold - mean, sd)
+        return margin_moments(self.threshold - mean, sd, self.trained.noise)
 
 
 AnyLatent = Latent | CustomLatent | MarginLatent

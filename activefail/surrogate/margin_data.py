@@ -15,6 +15,9 @@ from activefail.surrogate.readout import EXACT
 KERNEL = "matern52"
 """The kernel of every regression."""
 
+NOISE = "likelihood.noise_covar.raw_noise"
+"""The parameter of a prior that is the logarithm of the noise's variance, where the simulator does not repeat."""
+
 WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "none": (lambda g: g, np.zeros_like),
     "asinh": (np.arcsinh, lambda g: -0.5 * np.log1p(g * g)),
@@ -118,14 +121,14 @@ class MarginData:
         """Number of support points; 0 if all points are."""
         return 0 if self.inducing is None else len(self.inducing)
 
-    def observed(self, nugget: float) -> tuple[Array, Array]:
+    def observed(self, noise_variance: float) -> tuple[Array, Array]:
         """Means and variances of the points' sites, each (r,): the warped margins where they are not censored.
 
         Args:
-            nugget: variance of a warped margin's noise.
+            noise_variance: of a warped margin.
         """
         margin = self.margin[self.rows]
-        target, noise = self.warped(margin), np.full(len(margin), nugget)
+        target, noise = self.warped(margin), np.full(len(margin), noise_variance)
         if self.truncated:
             failed = margin <= 0.0
             taken = np.isin(np.flatnonzero(self.margin <= 0.0), self.rows)

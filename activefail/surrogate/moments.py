@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, log_softmax, logsumexp, ndtr, ndtri, ndtri_exp, xlogy
 
-from activefail.features import FeatureMap
 from activefail.space import Array
 
 LARGEST_FEATURE = 1e3
@@ -71,6 +70,20 @@ class MarginMoments(Moments):
     def known(self, shift: float) -> Array:
         """As for `Moments`: the outcome is certain."""
         return np.copysign(np.inf, self.mean + shift * self.sd)
+
+
+def margin_moments(mean: Array, sd: Array, noise: float) -> Moments:
+    """Moments of minus a margin, whose mean and standard deviation at n points are those of the next observation.
+
+    In units of its noise, a noisy margin has the probit likelihood: P = Φ(mean/√(1 + sd²)).
+
+    Args:
+        mean, sd: (n,).
+        noise: standard deviation of the simulator's noise; 0 if it repeats.
+    """
+    if not noise:
+        return MarginMoments(mean, sd)
+    return Moments(mean / noise, np.sqrt(np.maximum((sd / noise) ** 2 - 1.0, 1e-12)))
 
 
 class LinkedMoments(Moments):
@@ -154,11 +167,13 @@ class Predicted:
         moments: of each boundary's latent.
         is_nested: whether the boundaries are levels of one latent (see `outcome_probabilities`).
         harmless: (n,) which designs have the least severe outcome for certain, whatever the latents say.
+        repeatable: whether equal designs have equal results.
     """
 
     moments: tuple[Moments, ...]
     is_nested: bool
     harmless: NDArray[np.bool_]
+    repeatable: bool = True
 
     @property
     def probabilities(self) -> Array:
@@ -176,11 +191,13 @@ class Predicted:
 
     @property
     def boundaries(self) -> Array:
-        """The probits of P(at least as severe), without noise, (n, b): what is integrated over many designs.
+        """The probits of P(at least as severe), (n, b): what is integrated over many designs.
 
-        The simulator is deterministic, and the noise of labels would put a floor under a small probability.
+        They are without noise where the simulator is deterministic: the noise of labels would put a floor under a small
+        probability.
         """
-        return nested_probits(self._probits([one.side for one in self.moments]), self.is_nested)
+        z = [one.side if self.repeatable else one.standardised for one in self.moments]
+        return nested_probits(self._probits(z), self.is_nested)
 
     def beyond(self, severity: int, shift: float | None = None) -> Array:
         """P(at least as severe as outcome `severity`) of one simulation, (n,).
@@ -197,7 +214,9 @@ class Predicted:
         return np.asarray(np.minimum(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1), 1.0))
 
 
-def predicted(latents: Sequence[Any], features: FeatureMap, X: Array, F: Array | None = None) -> Predicted:
-    """What latents say of designs, (n, d), whose scaled features, (n, m), are F if the caller has them already."""
+def predicted(classifier: Any, X: Array, F: Array | None = None) -> Predicted:
+    """What a classifier says of designs, (n, d), whose scaled features, (n, m), are F if they are known already."""
+    features, latents = classifier.features, classifier.latents
     F = features(X) if F is None else F
-    return Predicted(tuple(latent.moments(F) for latent in latents), is_nested(latents), features.certain(X))
+    moments = tuple(latent.moments(F) for latent in latents)
+    return Predicted(moments, is_nested(latents), features.certain(X), classifier.repeatable)

@@ -15,8 +15,8 @@ from activefail.space import Array
 from activefail.surrogate.censored import CensoredSites
 from activefail.surrogate.covariance import JITTER, NUGGET, correlation
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, LearnableMargins, defined, learned_with, level_of
-from activefail.surrogate.margin_data import KERNEL, WARPINGS, MarginData
-from activefail.surrogate.moments import MarginMoments, Moments, Predicted, in_parts, predicted
+from activefail.surrogate.margin_data import KERNEL, NOISE, WARPINGS, MarginData
+from activefail.surrogate.moments import Moments, Predicted, in_parts, margin_moments, predicted
 from activefail.surrogate.readout import Readout, Trend, margin_readout, readout_of
 
 State = Mapping[str, NDArray[Any]]
@@ -97,6 +97,7 @@ class SavedLatent:
         jitter: added to the variance of a point, and its least value.
         margin_data: that boundaries of one margin share; None if it is learned from outcomes.
         threshold: the level of the margin in its warped units.
+        noise: standard deviation of a margin's noise in these units; 0 if the simulator repeats.
     """
 
     prior: SavedPrior
@@ -106,11 +107,12 @@ class SavedLatent:
     jitter: float = JITTER
     margin_data: MarginData | None = None
     threshold: float = 0.0
+    noise: float = 0.0
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         mean, sd = in_parts(F, self._moments)
-        return Moments(mean, sd) if self.margin_data is None else MarginMoments(self.threshold - mean, sd)
+        return Moments(mean, sd) if self.margin_data is None else margin_moments(self.threshold - mean, sd, self.noise)
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
@@ -129,15 +131,17 @@ class SavedClassifier:
         outcomes: names, least severe first.
         features: map from designs to the latents' inputs.
         latents: one for each outcome but the first.
+        repeatable: whether equal designs have equal results.
     """
 
     outcomes: tuple[str, ...]
     features: FeatureMap
     latents: tuple[SavedLatent, ...]
+    repeatable: bool = True
 
     def predicted(self, X: Array) -> Predicted:
         """As for `Classifier`."""
-        return predicted(self.latents, self.features, X)
+        return predicted(self, X)
 
 
 def saved_classifier(
@@ -147,13 +151,14 @@ def saved_classifier(
     features: FeatureMap,
     kernel: str,
     margins: LearnableMargins | None = None,
+    repeatable: bool = True,
 ) -> SavedClassifier:
     """The classifier from its `state.classifier_state`, for predictions alone, with the scaling of the features there.
 
     Args:
         state: the arrays.
         X: (n, d) training designs.
-        outcomes, features, margins: as in training.
+        outcomes, features, margins, repeatable: as in training.
         kernel: name of a built-in kernel.
 
     Raises:
@@ -177,7 +182,7 @@ def saved_classifier(
         latents.append(replace(latent, threshold=float(latent.margin_data.warped(np.array(source.level)))))
     for latent in latents:
         check(latent, F)
-    return SavedClassifier(tuple(outcomes), features, tuple(latents))
+    return SavedClassifier(tuple(outcomes), features, tuple(latents), repeatable)
 
 
 def _of_outcomes(state: State, name: str, kernel: str, F: Array) -> SavedLatent:
@@ -189,12 +194,14 @@ def _of_outcomes(state: State, name: str, kernel: str, F: Array) -> SavedLatent:
 
 def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
     prior, data = SavedPrior.of(KERNEL, state, name), margin_data_of(state, name, F, margin)
-    nugget, support = NUGGET * prior.variance, data.support
+    jitter, log_noise, support = NUGGET * prior.variance, state.get(f"{name}/{NOISE}"), data.support
+    noise = jitter if log_noise is None else float(np.exp(log_noise[0]))
     Kx = None if data.inducing is None else prior.covariance(support, data.points)
     variance = np.full(len(data.points), prior.variance)
-    K, observed = prior.covariance(support, support), data.observed(nugget)
-    readout, trend, _ = margin_readout(K, Kx, variance, prior.mean, *observed, nugget)
-    return SavedLatent(prior, support, readout, trend, nugget, data)
+    K, observed = prior.covariance(support, support), data.observed(noise)
+    readout, trend, _ = margin_readout(K, Kx, variance, prior.mean, *observed, jitter)
+    sd = 0.0 if log_noise is None else float(np.sqrt(noise))
+    return SavedLatent(prior, support, readout, trend, noise, data, noise=sd)
 
 
 class Source(NamedTuple):

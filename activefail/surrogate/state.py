@@ -84,12 +84,14 @@ def classifier_from_state(
                 latents.append(Latent(_fit(state, name, learner, F, outcome >= severity)))
             continue
         if name not in regressions:
-            prior, data = _set(margin_prior(F.shape[1]), state, name), margin_data_of(state, name, F, source.margin)
+            data = margin_data_of(state, name, F, source.margin)
+            prior = _set(margin_prior(F.shape[1], learner.repeatable), state, name)
             regressions[name] = MarginFit(data, prior, math.nan, int(state[f"{name}/learned_on"]))
         latents.append(MarginLatent(regressions[name], source.level))
     for latent in latents:
         check(latent, F)
-    return Classifier(tuple(outcomes), features, tuple(latents), choices_of(state, outcomes, margins))
+    choices = choices_of(state, outcomes, margins)
+    return Classifier(tuple(outcomes), features, tuple(latents), choices, repeatable=learner.repeatable)
 
 
 def _fit(state: State, name: str, learner: VariationalGP, F: Array, beyond: NDArray[np.bool_]) -> Fit:

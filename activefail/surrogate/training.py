@@ -68,7 +68,7 @@ def train(
         if margins is None or choices[severity - 1].margin == OUTCOMES:
             return learner.learned(F, outcome >= severity, before)
         margin = margins.values[severity - 1][:, choices[severity - 1].margin]
-        return fit_defined(F, margin, before.trained if isinstance(before, MarginLatent) else None)
+        return fit_defined(F, margin, before.trained if isinstance(before, MarginLatent) else None, learner.repeatable)
 
     # torch and LAPACK release the interpreter's lock, so boundaries train in parallel; a user's model may not.
     with ThreadPoolExecutor(len(severities)) as pool:
@@ -84,7 +84,7 @@ def train(
             if isinstance(of_boundary, MarginFit)
             else of_boundary
         )
-    return Classifier(tuple(outcomes), features, tuple(latents), choices)
+    return Classifier(tuple(outcomes), features, tuple(latents), choices, repeatable=learner.repeatable)
 
 
 def _choice(
@@ -106,10 +106,10 @@ def _choice(
     return choose(F, beyond, values, margins.columns, learner)
 
 
-def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None) -> MarginFit:
+def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None, repeatable: bool = True) -> MarginFit:
     """The regression of a usable margin, (n,), at scaled features, (n, m)."""
     values, has_undefined = defined(margin)
-    return fit_margin(F, values, has_undefined or is_truncated(values), warm)
+    return fit_margin(F, values, has_undefined or is_truncated(values), warm, repeatable)
 
 
 def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequence[int], learner: Learner) -> Choice:
@@ -134,7 +134,8 @@ def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequenc
     for column in candidates:
         if usable(margins[rows, column], beyond[rows]):
             continue
-        scores[column] = outcome_score(MarginLatent(fit_defined(F[rows], margins[rows, column])), beyond[rows])
+        fitted = fit_defined(F[rows], margins[rows, column], repeatable=learner.repeatable)
+        scores[column] = outcome_score(MarginLatent(fitted), beyond[rows])
     if not scores:
         return Choice(OUTCOMES, n, one_sided=one_sided)
     best = max(scores, key=scores.__getitem__)

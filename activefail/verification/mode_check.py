@@ -75,7 +75,8 @@ def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: 
     )
     margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
     deviation = deviation_of_margins(latent, campaign.features, designs, margin)
-    wrong = contradictions(latent, finite(campaign.features, designs), results.outcome >= severity, None)
+    beyond, F = results.outcome >= severity, finite(campaign.features, designs)
+    wrong = contradictions(latent, F, beyond, None, classifier.repeatable)
     return ModeCheck(len(answered), int((~answered).sum()), int((wrong & answered).sum()), deviation)
 
 

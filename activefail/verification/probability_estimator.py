@@ -113,6 +113,7 @@ class Sampled:
         exists: which designs exist; None if all do.
         severer: the same simulations for the more severe outcomes; empty if others answer for these.
         lost: as of the estimate.
+        repeatable: whether equal designs have equal results; otherwise noise explains outcomes that are not improbable.
     """
 
     plan: AnyPlan
@@ -124,12 +125,14 @@ class Sampled:
     exists: Existing | None = None
     severer: "tuple[Sampled, ...]" = ()
     lost: tuple[float, float] | None = None
+    repeatable: bool = True
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, at least those of the more severe outcomes."""
         estimates = [one._of_outcome(confidence) for one in (self, *self.severer)]
         largest = {name: max(getattr(one, name) for one in estimates) for name in ("probability", "low", "high")}
-        return replace(estimates[0], lost=self.lost, **largest)
+        wrong = estimates[0].wrong if self.repeatable else estimates[0].surprising
+        return replace(estimates[0], lost=self.lost, wrong=wrong, **largest)
 
     def _of_outcome(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
@@ -216,7 +219,7 @@ class Estimator:
         Args:
             outcome: its name.
             simulations: number of fresh simulations; at least 2. Of weighted rows, no row is simulated twice, and if
-                there are no more rows than that, all of them are.
+                there are no more rows than that, all of them are, unless the simulator does not repeat.
             question: the distribution of the variables.
             checks: whether to simulate the mode check too, if there is one.
 
@@ -260,7 +263,8 @@ class Estimator:
         question, severity = _thinned(question, simulations), self.classifier.outcomes.index(outcome)
         rows, of_designs = question.space, boundary_of(self.classifier, self.campaign.features, outcome)
         plans: Sequence[AnyPlan]
-        if isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X):
+        repeatable = self.classifier.repeatable
+        if repeatable and isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X):
             # Any other sample would be the same rows.
             simulations, question = len(rows.X), question.drawn(0)
             plans = [AllRows(rows.X, rows.weight, of_designs(question.designs(rows.X)))]
@@ -268,7 +272,7 @@ class Estimator:
             plans = self._planned(outcome, simulations, question)
         X = question.designs(plans[0].designs)
         first, draws = None, np.arange(len(X))
-        if isinstance(rows, WeightedRows):
+        if repeatable and isinstance(rows, WeightedRows):
             # No row is simulated twice.
             X, first, draws = np.unique(X, axis=0, return_index=True, return_inverse=True)
         kept = (self.iteration, simulations)
@@ -296,7 +300,7 @@ class Estimator:
 
         sampled, *severer = (sampled_of(number, plan) for number, plan in enumerate(plans, start=severity))
         lost = None if classifier.unknown is None else self._lost(classifier, outcome, question)
-        sampled = replace(sampled, severer=tuple(severer), lost=lost)
+        sampled = replace(sampled, severer=tuple(severer), lost=lost, repeatable=repeatable)
         if not (checks and is_checked(question, self.classifier.latent(outcome))):
             return sampled
         name = set_name("check", question.digest[:16], severity, *kept)

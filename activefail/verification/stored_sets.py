@@ -9,6 +9,7 @@ one of
     around-<designs>                    designs around those of a test set
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
+    surface-<iteration>-<designs>       the same where the simulator does not repeat; random designs
     probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability; the number
                                         is 1 if they answer for all outcomes
     question-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question

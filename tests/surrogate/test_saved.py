@@ -11,6 +11,7 @@ from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
 from activefail.surrogate import fitting, margin, margin_data
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin_choice import LearnableMargins
 from activefail.surrogate.saved import saved_classifier
 from activefail.surrogate.state import classifier_from_state, classifier_state
@@ -19,7 +20,7 @@ from activefail.surrogate.training import train
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 1.0, 20.0, distribution="log_uniform")))
 FEATURES = feature_map("design", SPACE)
 OUTCOMES = ("calm", "hit", "broken")
-LEARNERS = {"rbf": RBF, "matern52": MATERN52}
+LEARNERS = {"rbf": RBF, "matern52": MATERN52, "noisy": VariationalGP("rbf", repeatable=False)}
 FAR = np.array([[1e300, 0.0], [-1e300, 1e5], [0.0, 0.0]])
 FRESH = np.concatenate([FEATURES(SPACE.latin_hypercube(500, np.random.default_rng(1))), FAR])
 
@@ -31,10 +32,11 @@ def level(X):
 def trained(kernel, truncated=None):
     """A classifier of 120 designs and what it was trained on; its boundaries are learned from margins if asked for."""
     X = SPACE.latin_hypercube(120, np.random.default_rng(0))
-    outcome = np.digitize(level(X), [0.6, 1.4]).astype(np.int8)
+    noise = 0.2 * np.random.default_rng(2).standard_normal(len(X)) if kernel == "noisy" else 0.0
+    outcome = np.digitize(level(X) + noise, [0.6, 1.4]).astype(np.int8)
     margins = None
     if truncated is not None:
-        values = np.stack([(limit - level(X))[:, None] for limit in (0.6, 1.4)])
+        values = np.stack([(limit - level(X) - noise)[:, None] for limit in (0.6, 1.4)])
         # A simulation that ends at failure reports 0.
         values = np.where(truncated & (values < 0.0), 0.0, values)
         margins = LearnableMargins(values, np.array([[-0.6], [-1.4]]), (0,), required=True)
@@ -49,6 +51,8 @@ CASES = {
     "matern52, inducing": ("matern52",),
     "margin": ("rbf", False),
     "truncated margin": ("rbf", True),
+    "noisy margin": ("noisy", False),
+    "truncated noisy margin": ("noisy", True),
     "margin, part of the designs": ("rbf", False),
     "truncated margin, part of the designs": ("rbf", True),
 }
@@ -86,8 +90,9 @@ def test_the_moments_without_torch_are_those_of_the_classifier(learned):
         for F in (FRESH, theirs.features):
             one, other = ours.moments(F), theirs.moments(F)
             assert type(one) is type(other)
-            # `MarginFit.model` rounds its mean to single precision.
-            assert one.mean == pytest.approx(other.mean, rel=1e-9, abs=1e-9 if margins is None else 2e-7)
+            # `MarginFit.model` rounds its mean to single precision; a noisy one's unit is its noise.
+            rounded = 1e-9 if margins is None else 2e-6 if kernel == "noisy" else 2e-7
+            assert one.mean == pytest.approx(other.mean, rel=1e-9, abs=rounded)
             assert one.sd == pytest.approx(other.sd, rel=1e-9, abs=1e-9)
 
 

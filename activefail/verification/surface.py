@@ -1,0 +1,94 @@
+"""How well a classifier's probabilities hold where the simulator does not repeat: log score and calibration.
+
+Fresh simulations of random designs judge P(at least as severe | design). No design is wrong: its outcome is random.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import xlogy
+from scipy.stats import t
+
+from activefail.campaign.random_streams import stream
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
+from activefail.verification.confidence_bounds import upper_bound
+from activefail.verification.probability_estimator import Estimator
+from activefail.verification.stored_sets import set_name
+
+EDGES = (0.0, 0.1, 0.3, 0.7, 0.9, 1.0)
+"""Probabilities that divide the designs for the calibration."""
+
+
+@dataclass(frozen=True)
+class CalibrationClass:
+    """The fresh simulations whose probability lies in one class.
+
+    Attributes:
+        low_edge, high_edge: of the probability.
+        simulations: number of them.
+        predicted: their mean probability.
+        observed: the share that ended beyond the boundary.
+        low, high: its interval [ClopperPearson1934].
+    """
+
+    low_edge: float
+    high_edge: float
+    simulations: int
+    predicted: float
+    observed: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class SurfaceScore:
+    """How well the probabilities hold.
+
+    Attributes:
+        log_score: mean logarithm of the probability of the side of the boundary on which each simulation ended [nat].
+        low, high: its interval.
+        expected_log_score: that the classifier's own probabilities predict.
+        confidence: of the intervals.
+        simulations: fresh simulations with an outcome.
+        numerical_failures: other fresh simulations, which are not scored.
+        calibration: of the probabilities, by classes that have simulations.
+    """
+
+    log_score: float
+    low: float
+    high: float
+    expected_log_score: float
+    confidence: float
+    simulations: int
+    numerical_failures: int
+    calibration: tuple[CalibrationClass, ...]
+
+
+def score(probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: float) -> SurfaceScore:
+    """The score of probabilities, (n,), by whether simulations ended beyond the boundary, (n,); others were lost."""
+    p, n = np.clip(probability, 1e-12, 1.0 - 1e-12), len(probability)
+    scores = np.log(np.where(beyond, p, 1.0 - p))
+    half = float(t.ppf(0.5 + 0.5 * confidence, n - 1)) * float(scores.std(ddof=1)) / np.sqrt(n)
+    middle, expected = float(scores.mean()), float((xlogy(p, p) + xlogy(1.0 - p, 1.0 - p)).mean())
+    place, classes, sure = np.searchsorted(EDGES[1:-1], p, side="right"), [], 0.5 + 0.5 * confidence
+    for number in np.unique(place):
+        rows = place == number
+        k, hits = int(rows.sum()), int(beyond[rows].sum())
+        ends = 1.0 - upper_bound(k - hits, k, sure), upper_bound(hits, k, sure)
+        edges = EDGES[number], EDGES[number + 1]
+        classes.append(CalibrationClass(*edges, k, float(p[rows].mean()), hits / k, *ends))
+    return SurfaceScore(middle, middle - half, middle + half, expected, confidence, n, lost, tuple(classes))
+
+
+def verify_surface(estimator: Estimator, simulations: int, confidence: float) -> SurfaceScore:
+    """Score the target boundary's probabilities by fresh simulations, which are kept in the run folder."""
+    campaign = estimator.campaign
+    X = campaign.space.random(simulations, stream(campaign.settings.seed, "verification", estimator.iteration))
+    results = estimator.results(set_name("surface", estimator.iteration, simulations), "", X)
+    assert results is not None  # no stop was requested
+    answered = results.outcome != NUMERICAL_FAILURE
+    probability = estimator.classifier.predicted(X[answered]).beyond(campaign.severity)
+    beyond, lost = results.outcome[answered] >= campaign.severity, int((~answered).sum())
+    return score(probability, beyond, lost, confidence)

@@ -1,0 +1,125 @@
+"""A simulator that does not repeat: the surface P(failure | design), and intervals of the probability.
+
+    python studies/noise.py --seeds 20
+    python studies/noise.py --seeds 20 --case rare --learns outcomes
+
+The margin is 1 - x - y + N(0, 0.15) over the unit square, or 1.7 - x - y ("rare"), and failure where it is at most 0. A
+campaign simulates 160 designs. The table gives the mean absolute error of P(failure | design) over the square, that of
+BoTorch's SingleTaskGP of the same margins, the probability of failure, by the classifier and from 200 fresh ones
+too, and how often the 90 % interval of these holds the truth.
+"""
+
+import itertools
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from botorch.fit import fit_gpytorch_mll
+from botorch.models import SingleTaskGP
+from gpytorch.mlls import ExactMarginalLogLikelihood
+from scipy.special import ndtr
+from study import Rows, asked, head, in_memory, line, parallel
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.settings import CampaignSettings, checked
+from activefail.execution.local import ThreadExecutor
+from activefail.simulators.interface import Results
+from activefail.verification.probability_estimator import Estimator
+
+NOISE, BUDGET, FRESH = 0.15, 160, 200
+
+OFFSETS = {"half": 1.0, "rare": 1.7}
+
+GRID = (np.stack(np.meshgrid(*[np.arange(64)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 64
+
+
+class HalfPlane:
+    """The simulator; its noise is drawn anew for each run."""
+
+    outcomes, margins, causes, releases_gil = ("safe", "failure"), ("g",), ("",), True
+
+    def __init__(self, offset, seed):
+        self.offset, self.rng = offset, np.random.default_rng(seed)
+
+    def run(self, X):
+        g = self.offset - X.sum(axis=1) + NOISE * self.rng.standard_normal(len(X))
+        zero = np.zeros(len(X))
+        return Results((g <= 0.0).astype(np.int8), zero.astype(np.int8), g[:, None], zero)
+
+
+def measured(case, learns, criterion, initial, seed):
+    torch.set_num_threads(1)
+    settings = {
+        "seed": seed,
+        "simulator": {"python": "noise:g", "margins": ["g"], "repeatable": False},
+        "space": {name: {"low": 0.0, "high": 1.0} for name in "xy"},
+        "sampling": {"initial": initial, "budget": BUDGET},
+        "classifier": {"learns": learns},
+        "acquisition": {"criterion": criterion},
+    }
+    offset = OFFSETS[case]
+    campaign = Campaign.of(checked(CampaignSettings, settings, "study"), simulator=HalfPlane(offset, [seed, 1]))
+    learned = in_memory(campaign)
+    surface = ndtr((GRID.sum(axis=1) - offset) / NOISE)
+    of_classifier = learned.classifier.probabilities(GRID)[:, 1]
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(campaign, learned.store, executor, learned.classifier, learned.history.last_iteration)
+        estimate = estimator.sample("failure", FRESH, campaign.question).estimate(0.9)
+        mean = estimator.probability("failure", campaign.question)
+    return {
+        "case": case,
+        "learns": learns,
+        "criterion": criterion,
+        "initial": initial,
+        "seed": seed,
+        "error": np.abs(of_classifier - surface).mean(),
+        "by_botorch": np.abs(by_botorch(learned.history) - surface).mean(),
+        "truth": surface.mean(),
+        "by_classifier": mean,
+        "estimate": [estimate.low, estimate.probability, estimate.high],
+    }
+
+
+def by_botorch(history):
+    """P(failure) on the grid by a SingleTaskGP of the margins."""
+    X, g = (torch.from_numpy(array) for array in (history.designs, history.margins))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = SingleTaskGP(X, g)
+        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
+    with torch.no_grad():
+        next_one = model.posterior(torch.from_numpy(GRID), observation_noise=True)
+    return ndtr((-next_one.mean / next_one.variance.sqrt()).detach().numpy()[:, 0])
+
+
+def main():
+    options = asked(
+        __doc__,
+        seeds=20,
+        case=list(OFFSETS),
+        learns=["outcomes", "g"],
+        criterion=["bald"],
+        initial=[40],
+        file=Path,
+        processes=1,
+    )
+    rows = Rows(options.file)
+    names = "case", "learns", "criterion", "initial"
+    terms = list(itertools.product(*(getattr(options, name) for name in names)))
+    cases = [(*term, seed) for seed in range(options.seeds) for term in terms]
+    cases = [case for case in cases if rows.lack(**dict(zip((*names, "seed"), case, strict=True)))]
+    for row in parallel(measured, cases, options.processes):
+        rows.add(**row)
+    head(*names, "error of P", "BoTorch", "truth", "by the classifier", "estimate", "interval covers", "width")
+    for term in terms:
+        of = rows.of(**dict(zip(names, term, strict=True)))
+        numbers = ("error", "by_botorch", "truth", "by_classifier")
+        means = [f"{np.mean([row[name] for row in of]):.4f}" for name in numbers]
+        low, middle, high = np.array([row["estimate"] for row in of]).T
+        covered = (low <= of[0]["truth"]) & (of[0]["truth"] <= high)
+        line(*term, *means, f"{middle.mean():.4f}", f"{covered.mean():.2f}", f"{np.median(high - low):.4f}")
+
+
+if __name__ == "__main__":
+    main()

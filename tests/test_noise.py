@@ -1,0 +1,164 @@
+"""Simulators that do not repeat: detection, replicates, the noise in the model, and what judges it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail
+from scipy.special import ndtr
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.campaign.settings import CampaignSettings, checked
+from activefail.errors import InputError, SimulationError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.history import History
+from activefail.loop.learning import current, learn_from
+from activefail.loop.running import run
+from activefail.loop.telling import add
+from activefail.opening import open_run
+from activefail.record.memory import MemoryStore
+from activefail.reliability.integral import BoundariesOf
+from activefail.simulators.command import CommandSimulator
+from activefail.simulators.interface import Results
+from activefail.verification.probability_estimator import Estimator
+from activefail.verification.surface import score
+from activefail.weighted import WeightedRows
+
+NOISE = 0.15
+FRESH = np.random.default_rng(3).random((500, 2))
+
+
+@dataclass(frozen=True)
+class HalfPlane:
+    """1 − x − y and noise."""
+
+    noise: float = NOISE
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+    simulated: list[np.ndarray] = field(default_factory=list)
+
+    outcomes, margins, causes, releases_gil = ("safe", "failure"), ("g",), ("",), True
+
+    def run(self, X):
+        self.simulated.append(X)
+        g = 1.0 - X.sum(axis=1) + self.noise * self.rng.standard_normal(len(X))
+        nothing = np.zeros(len(X))
+        return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), g[:, None], nothing)
+
+
+def settings_of(repeatable=None, **sections):
+    simulator = {"python": "half:plane", "margins": ["g"]} | ({} if repeatable is None else {"repeatable": repeatable})
+    variables = {name: {"low": 0.0, "high": 1.0} for name in "xy"}
+    settings = {"simulator": simulator, "space": variables, "sampling": {"initial": 40, "budget": 60}}
+    return checked(CampaignSettings, settings | sections, "test")
+
+
+def campaign_of(simulator, repeatable=None, **sections):
+    return Campaign.of(settings_of(repeatable, **sections), simulator=simulator)
+
+
+def taken(simulator, repeatable=None, store=None, **sections):
+    campaign = campaign_of(simulator, repeatable, **sections)
+    store = store or MemoryStore(campaign.schema)
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, 60)
+    return campaign, store
+
+
+def test_a_campaign_that_meets_noise_asks_and_asks_again_before_it_pays_for_more() -> None:
+    simulator = HalfPlane()
+    campaign = campaign_of(simulator)
+    store = MemoryStore(campaign.schema)
+    for simulations in (11, 11):
+        with pytest.raises(SimulationError, match=r"id 0 has two results: .*repeatable = false"):
+            taken(simulator, store=store)
+        assert sum(map(len, simulator.simulated)) == simulations
+    assert len(History.of(store.batches)) == 10
+
+
+@pytest.mark.parametrize(("repeatable", "simulations"), [(None, 61), (True, 60)])
+def test_one_design_is_simulated_twice_unless_the_file_says_that_it_repeats(repeatable, simulations) -> None:
+    simulator = HalfPlane(noise=0.0)
+    _, store = taken(simulator, repeatable)
+    assert sum(map(len, simulator.simulated)) == simulations
+    designs = History.of(store.batches).designs
+    if repeatable:
+        _, other = taken(HalfPlane(noise=0.0))
+        assert designs.tobytes() == History.of(other.batches).designs.tobytes()
+
+
+@pytest.fixture(scope="module", params=["outcomes", "g"])
+def noisy(request):
+    campaign, store = taken(HalfPlane(), False, classifier={"learns": request.param})
+    return campaign, store, current(campaign, store, write=False).classifier
+
+
+def test_the_surface_is_the_probability_of_an_outcome_and_is_what_is_integrated(noisy) -> None:
+    campaign, _, classifier = noisy
+    surface, learned = ndtr((FRESH.sum(axis=1) - 1.0) / NOISE), classifier.probabilities(FRESH)[:, 1]
+    by_margin = campaign.settings.classifier.learns == "g"
+    assert np.abs(learned - surface).mean() < (0.04 if by_margin else 0.1)
+    integrated = ndtr(BoundariesOf(classifier, campaign.features)(FRESH))[:, 0]
+    assert integrated == pytest.approx(learned, abs=1e-9)
+    if by_margin:
+        data, noise = classifier.latents[0].margin_data, classifier.latents[0].trained.noise
+        assert data.warping != "none" or noise * data.unit == pytest.approx(NOISE, rel=0.35)
+
+
+def test_fresh_simulations_of_equal_rows_are_runs_of_their_own(noisy) -> None:
+    campaign, store, classifier = noisy
+    rows = WeightedRows(("x", "y"), np.array([[0.5, 0.5], [0.4, 0.5]]), np.ones(2))
+    question = Question("rows", campaign.space.names, rows)
+    simulator = campaign.simulator
+    before = sum(map(len, simulator.simulated))
+    with ThreadExecutor(1) as executor:
+        Estimator(campaign, store, executor, classifier, 2).sample("failure", 30, question)
+    assert sum(map(len, simulator.simulated)) == before + 30
+
+
+def test_replicates_are_recorded_and_an_outcome_s_share_is_learned() -> None:
+    campaign = campaign_of(HalfPlane(), False, classifier={"learns": "outcomes"})
+    store = MemoryStore(campaign.schema)
+    X = np.repeat([[0.2, 0.2], [0.5, 0.5], [0.8, 0.8]], [20, 40, 20], axis=0)
+    outcome = np.repeat([0, 0, 1], [20, 28, 32]).astype(np.int8)
+    results = Results(outcome, np.zeros(80, dtype=np.int8), np.where(outcome, -0.1, 0.1)[:, None], np.zeros(80))
+    assert add(campaign, store, X, results) == 80
+    classifier = learn_from(campaign, History.of(store.batches))
+    assert classifier.probabilities(X[30:31])[0, 1] == pytest.approx(0.3, abs=0.08)
+
+
+def test_a_stop_rule_that_presumes_no_noise_is_refused() -> None:
+    with pytest.raises(InputError, match=r"`stop.error` requires a simulator that repeats"):
+        settings_of(False, stop={"error": 0.02})
+
+
+def test_the_log_score_and_the_calibration_are_those_of_the_probabilities() -> None:
+    rng = np.random.default_rng(0)
+    p = rng.random(4000)
+    one = score(p, rng.random(4000) < p, 0, 0.99)
+    assert one.low < one.expected_log_score < one.high
+    assert all(part.low < part.predicted < part.high for part in one.calibration)
+    too_sure = score(ndtr(3.0 * p), rng.random(4000) < p, 0, 0.99)
+    assert too_sure.high < too_sure.expected_log_score
+
+
+def test_a_program_that_does_not_repeat_is_run_verified_and_keeps_a_folder_for_each_run(tmp_path: Path) -> None:
+    (tmp_path / "run.py").write_text(
+        "import json, os, random\n"
+        "outcome = 'failure' if random.random() < float(os.environ['AF_x']) else 'safe'\n"
+        "open(os.environ['AF_OUT'], 'w').write(json.dumps({'outcome': outcome}))\n"
+    )
+    (tmp_path / "noisy.toml").write_text(
+        "sampling = { initial = 12, budget = 14, batch = 2 }\n"
+        "simulator = { command = 'python {here}/run.py', repeatable = false }\n"
+        "space.x = { low = 0.0, high = 1.0, step = 0.25 }\n"
+    )
+    ran = activefail("run", tmp_path / "noisy.toml", "--out", tmp_path / "run", "--quiet")
+    assert ran.code == 0, ran.err
+    with open_run(tmp_path / "run", code=tmp_path) as opened:
+        assert len(opened.simulations) == 14
+        assert isinstance(opened.campaign.simulator, CommandSimulator)
+        assert len(list(opened.campaign.simulator.work.iterdir())) == 14
+    verified = activefail("verify", tmp_path / "run", "--simulations", "10", "--code", tmp_path)
+    assert "log score" in verified.out, verified.err
