@@ -16,17 +16,20 @@ from activefail.accelerogram_header import (
     Lines,
     agreed,
     check_format,
+    check_option,
+    check_peak,
+    factors,
     intervals,
     points,
     same_interval,
     seconds_of_time,
     unit_named,
     units,
-    value_of,
 )
 from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError, naming
+from activefail.numerals import number_in
 from activefail.trust import read_regular
 from activefail.visible import visible
 
@@ -39,9 +42,6 @@ _NUMBER_OR_NONE = re.compile(rf"{NUMBER}|[+-]?(?:nan|inf)\b", re.IGNORECASE)
 _WITH_POINT = re.compile(r"[+-]?(?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 """A number that may follow another one without a blank: its sign separates them."""
 
-_LONG_EXPONENT = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))([+-]\d{3})")
-"""A number as Fortran writes it if its exponent has three digits."""
-
 Rows = list[tuple[int, list[float]]]
 """Numbers of lines, with the lines' numbers in the file."""
 
@@ -51,7 +51,7 @@ _END = re.compile(r"[-=/&#\s]*$|.*\b(?:end|eof)\b", re.IGNORECASE)
 """A line after the last sample."""
 
 _FAR = 3.0
-"""A lone number at the beginning that is so many times larger than every sample is none: records begin at rest."""
+"""A value that is so many times larger than all others is none: a motion rises and falls over several samples."""
 
 _FEW = 10
 """A tenth of a file, or less than a line, may follow the stated number of points."""
@@ -61,6 +61,9 @@ _USUAL = (0.005, 3.0)
 
 _USUAL_DT = (1e-4, 0.1)
 """Intervals of strong-motion records [s]."""
+
+_LEAST_RATE = 1.0
+"""No strong motion is sampled at such intervals [s]."""
 
 _DRIFT = 0.25
 """Largest velocity at the end of a record, over its PGV, that needs no baseline correction."""
@@ -96,10 +99,32 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt:
         found = agreed("unit", given, units(header), str, eq)
         if found is None:
             raise InputError(f"unit: the header states none, so it is required (--unit, one of {', '.join(UNITS)}).")
-        interval = agreed("dt", dt, intervals(header), lambda x: f"{x:g} s", same_interval)
+        stated = intervals(header)
+        interval = agreed("dt", dt, stated, lambda x: f"{x:g} s", same_interval)
+        if dt is not None and not stated:
+            check_option(header, dt)
         count = agreed("points", None, points(header), lambda x: f"{x} points", eq)
         values, interval, notes = _samples(data, count, interval, seconds_of_time(header))
-        return Accelerogram(UNITS[found] * values, interval, visible(path.stem), notes=notes)
+        record = Accelerogram(UNITS[found] * values, interval, visible(path.stem), notes=(*notes, *factors(header)))
+        _check_outlier(values)
+        check_peak(header, record.peak, found)
+        return record
+
+
+def _check_outlier(values: np.ndarray) -> None:
+    """Check that the largest values are accelerations: not a mark of missing data, nor a number about the record.
+
+    Raises:
+        InputError: if they are far from all others.
+    """
+    size = np.abs(values)
+    others = np.max(size, where=size < size.max(), initial=0.0)
+    if size.max() > _FAR * others > 0.0:
+        k = int(np.argmax(size))
+        raise InputError(
+            f"sample {k + 1}: must be an acceleration, got {values[k]:g}, and the others are at most {others:g}. "
+            "Remove what is none, such as a mark of missing data."
+        )
 
 
 def doubts(record: Accelerogram) -> list[str]:
@@ -152,6 +177,7 @@ def _text(path: Path) -> str:
         text = data.decode()
     except UnicodeDecodeError:
         text = data.decode("latin-1")
+    text = text.replace('"', " ")  # of quoted cells
     with naming(f"{path} "):
         check_format(text[:5000])
     return text.partition("\x1a")[0]
@@ -187,6 +213,7 @@ def _samples(
         dt: interval that the header or the option states.
         second: unit of a column of times [s].
     """
+    _check_commas(data)
     rows = [(k, list(_numbers(line, k))) for k, line in data]
     if not rows:
         raise InputError("must have accelerations, got none.")
@@ -196,6 +223,10 @@ def _samples(
     values = np.array([number for _, numbers in rows for number in numbers])
     widths = {len(numbers) for _, numbers in rows}
     if widths == {2} and count in (None, len(rows)):
+        is_count = second == 1.0 and [numbers[0] - rows[0][1][0] for _, numbers in rows] == [*range(len(rows))]
+        if is_count and dt is not None and not same_interval(1.0, dt):
+            notes += ("has a first column that counts the samples; it is left out.",)
+            return np.array([number for _, (_, number) in rows]), dt, notes
         return *_of_times(rows, dict(data), dt, second), notes
     beyond = 0 if count is None else len(values) - count
     if count is None and widths != {1}:
@@ -230,9 +261,6 @@ def _without_first(
     """The rows without first lines that state the number of points or the interval; with both, and notes.
 
     Such lines have one number each, or one line has both numbers.
-
-    Raises:
-        InputError: if the first number can be neither of these nor a sample.
     """
     widths = [len(numbers) for _, numbers in rows[:2]]
     for lines in [
@@ -248,13 +276,6 @@ def _without_first(
             said = " and ".join(f"{number:g}" for number in first)
             note = f"begins with {said}, which is no acceleration: the number of points or the interval."
             return left, found or count, steps[0] if steps else dt, (note,)
-    others = max((abs(number) for _, numbers in rows[1:] for number in numbers), default=0.0)
-    k, number = rows[0][0], rows[0][1][0]
-    if widths == [1, 1] and abs(number) > _FAR * others > 0.0:
-        raise InputError(
-            f"line {k}: must be an acceleration, got {number:g}, and the others are at most {others:g}. Remove a line "
-            "that is none."
-        )
     return rows, count, dt, ()
 
 
@@ -279,9 +300,26 @@ def _of_times(rows: Rows, lines: dict[int, str], dt: float | None, second: float
             f"line {line}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
             f"{_about_commas(lines[line])}"
         )
+    if dt is None and second == 1.0 and mean >= _LEAST_RATE:
+        raise InputError(
+            f"line {rows[1][0]}: times must rise by less than {_LEAST_RATE:g} s, got {mean:g} s. If the first column "
+            "counts samples, dt (--dt) is required; if it has milliseconds, a title `time [ms]`."
+        )
     if dt is not None and not same_interval(mean, dt):
         raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     return values[:, 1], mean
+
+
+def _check_commas(data: Lines) -> None:
+    """Check that commas separate numbers, not their decimals.
+
+    Raises:
+        InputError: if all commas are inside numbers that something else separates, and no number has a point.
+    """
+    text = "\n".join(line for _, line in data)
+    if "," in text and "." not in text and not re.search(r",(?!\d)|(?<!\d),", text) and re.search(r"\d[ \t;]+\S", text):
+        k, line = next((k, line) for k, line in data if "," in line)
+        raise InputError(f"line {k}: must have decimal points, got {line!r}; commas separate numbers.")
 
 
 def _about_commas(line: str) -> str:
@@ -303,15 +341,14 @@ def _numbers(line: str, k: int) -> Iterator[float]:
         InputError: naming the line and what is no number.
     """
     for part in filter(None, re.split(r"[\s,;]+", line.strip())):
-        if _NUMBER.fullmatch(part):
+        numbers = _WITH_POINT.findall(part)
+        if "".join(numbers) != part or not all(number[0] in "+-" for number in numbers[1:]):
             numbers = [part]
-        elif match := _LONG_EXPONENT.fullmatch(part):
-            numbers = [f"{match[1]}e{match[2]}"]
-        else:
-            numbers = _WITH_POINT.findall(part)
-            if "".join(numbers) != part or not all(number[0] in "+-" for number in numbers[1:]):
-                raise InputError(f"line {k}: must be numbers, got {part!r}.")
-        for number in map(value_of, numbers):
+        for text in numbers:
+            try:
+                number = number_in(text)
+            except ValueError:
+                raise InputError(f"line {k}: must be numbers, got {part!r}.") from None
             if not math.isfinite(number):
                 raise InputError(f"line {k}: must be finite, got {part!r}.")
             yield number

@@ -8,6 +8,7 @@ from typing import Any
 from activefail.bearing.accelerogram import EVEN
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.numerals import number_in
 
 UNITS = {"g": GRAVITY, "m/s2": 1.0, "cm/s2": 0.01, "mm/s2": 0.001}
 """Units of acceleration, in m/s2."""
@@ -62,6 +63,25 @@ _RATE = re.compile(
     rf"|({NUMBER})\s*(?:samples\s*(?:/|per)\s*s|sps\b)",
     re.IGNORECASE,
 )
+_BARE_INTERVAL = re.compile(rf"(?<![\w.])({NUMBER})\s*(hz|s|sec|seconds?)\b(?!\s*/)", re.IGNORECASE)
+"""A number that may be an interval or a rate, whatever the words around it are."""
+
+_NO_INTERVAL = re.compile(
+    r"filter|pass|cut|corner|band|nyquist|natural|taper|instrument|sensor|transducer|duration|period|\bat\b|time of"
+    r"|high|low|\b[hl]p\b|\bfc\b",
+    re.IGNORECASE,
+)
+"""Says that such a number is neither."""
+
+_PEAK = re.compile(
+    rf"(?:\bPGA|\bpeak\s+(?:ground\s+)?acc\w*|\bmax\w*\.?\s+acc\w*)\.?(?:[ _]*[\[(]?({_ACCELERATION})[\])]?)?"
+    rf"\s*(?:[:=]|\bis\b|\bof\b)?\s*({NUMBER})(?![\d.]*\s*%)\s*[\[(]?({_ACCELERATION})?",
+    re.IGNORECASE,
+)
+_FACTOR = re.compile(rf"\b(?:scal\w*[ _-]*factor|multipli\w+(?:\s+by)?){_GAP}({NUMBER})", re.IGNORECASE)
+_AGREE = 2.0
+"""Ratio of a stated PGA to that of the samples, either way: it may be that of the raw record, but in no other unit."""
+
 _MILLISECONDS = re.compile(r"(?<![a-z])m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
 _TIME_IN_MS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(,_]\s*m(?:illi)?s(?:ec\w*)?\b", re.IGNORECASE)
 _TIME_IN_OTHERS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(]\s*(?:us|[µμ]s|micro\w*|min\w*|h|hours?)\b", re.IGNORECASE)
@@ -175,12 +195,54 @@ def intervals(header: Lines) -> list[Stated]:
                     continue  # a distance
                 if _OTHER_TIME.match(text, end):
                     raise InputError(f"line {line}: must state an interval in s or ms, or a rate in Hz, got {text!r}.")
-                number = value_of(next(filter(None, match.groups())))
+                number = number_in(next(filter(None, match.groups())))
                 in_ms = _MILLISECONDS.search(match[0])
                 # No strong motion is sampled less than once a second: such a rate is an interval.
                 is_rate = pattern is _RATE and number > 1.0 and not in_ms
                 found.append(Stated(1.0 / number if is_rate else 1e-3 * number if in_ms else number, line, text))
     return found
+
+
+def check_option(header: Lines, dt: float) -> None:
+    """Check an interval [s] that only an option states against numbers of the header that may be one.
+
+    Raises:
+        InputError: if there are such numbers, and none of them is the interval.
+    """
+    found = []
+    for line, text in header:
+        for match in () if _NO_INTERVAL.search(text) else _BARE_INTERVAL.finditer(text):
+            number = number_in(match[1])
+            step = 1.0 / number if match[2].lower() == "hz" and number > 0.0 else number
+            if 1e-4 <= step <= 0.1:
+                found.append(Stated(step, line, text))
+    if found and not any(same_interval(fact.value, dt) for fact in found):
+        agreed("dt", dt, found, lambda x: f"{x:g} s", same_interval)
+
+
+def check_peak(header: Lines, peak: float, unit: str) -> None:
+    """Check the largest acceleration of the samples [m/s2] against that of the header, in this unit if it names none.
+
+    Raises:
+        InputError: if they differ by a factor.
+    """
+    for line, text in header:
+        for match in _PEAK.finditer(text):
+            stated = abs(number_in(match[2])) * UNITS.get(unit_named(match[1] or match[3] or unit), 0.0)
+            if peak > 0.0 and stated > 0.0 and not 1.0 / _AGREE <= stated / peak <= _AGREE:
+                raise InputError(
+                    f"line {line}: must agree with the largest of the samples, {peak / UNITS[unit]:.4g} {unit}, got "
+                    f"{text.strip()!r}. Check unit and scale, or remove the line."
+                )
+
+
+def factors(header: Lines) -> list[str]:
+    """Notes on factors that a header states: the samples of real files have been multiplied by them, or not."""
+    return [
+        f"has a factor in its header, which is not applied: {text.strip()!r}."
+        for _, text in header
+        if (match := _FACTOR.search(text)) and number_in(match[1]) != 1.0
+    ]
 
 
 def seconds_of_time(header: Lines) -> float:
@@ -232,8 +294,3 @@ def agreed(
             place = f"line {fact.line}: {fact.text.strip()!r}"
             raise InputError(f"{key}: the header states {shown(fact.value)}, got {shown(value)} ({place}).")
     return value
-
-
-def value_of(text: str) -> float:
-    """A number, whose exponent may be written as Fortran does."""
-    return float(text.lower().replace("d", "e"))

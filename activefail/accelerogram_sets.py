@@ -164,7 +164,12 @@ def read_record_set(
         stated, interval = table.cell(row, "unit") or unit, table.number(row, "dt")
         if stated and unit_named(stated) not in UNITS:
             raise table.broken(row, "unit", f"must be one of {', '.join(UNITS)}", stated)
-        return read_accelerogram(folder / table.cell(row, column), stated, dt if math.isnan(interval) else interval)
+        name = table.cell(row, column)
+        try:
+            return read_accelerogram(folder / name, stated, dt if math.isnan(interval) else interval)
+        except InputError as error:
+            advice = "" if table.name else f" If {name} is no record, name the records in {TABLE}, or move it."
+            raise InputError(f"{error}{advice}") from None
 
     def with_vertical(row: int) -> Accelerogram:
         if (name := table.cell(row, "vertical")) is None:
@@ -224,9 +229,10 @@ def _records(folder: Path) -> tuple[Table, tuple[str, ...], tuple[str, ...]]:
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     search = [path for path in paths if _SEARCH.fullmatch(path.name)]
-    files = [path.name for path in paths if path not in search and path.name != TABLE]
-    if (folder / TABLE).exists():
-        table = _table(folder / TABLE)
+    tables = [path for path in paths if path.name.lower() == TABLE]
+    files = [path.name for path in paths if path not in (*search, *tables)]
+    if tables:
+        table = _table(tables[0])
         used = {table.cell(row, column) for row in range(len(table.rows)) for column in ("file", "vertical")}
         return table, tuple(name for name in files if name not in used), ()
     understood: list[str] = []

@@ -1,6 +1,8 @@
 """Tables: one reader of CSV, whole or in constant memory, and of Python's tables; one writer, safe for spreadsheets."""
 
+import codecs
 import csv
+import difflib
 import math
 import operator
 import re
@@ -17,6 +19,7 @@ import numpy as np
 
 from activefail.errors import InputError
 from activefail.files import replacing, target_of
+from activefail.numerals import number_in
 from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace
 
@@ -63,8 +66,9 @@ class Kept(NamedTuple):
 Check = Callable[[Array], str | None]
 """A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
 
-_SCALED = re.compile(r"(.*?)\s*([*/])\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)")
-"""A column with a factor, such as "Load [kN]*1000"."""
+_FACTOR = r"\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+"
+_SCALED = re.compile(rf"(.*?)(?:\s*([*/])\s*(-?(?:{_FACTOR})))?(?:\s*([+-])\s*({_FACTOR}))?")
+"""A column with a factor, an offset or both, such as "Load [kN]*-1000" and "T [°C]+273.15"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,22 +141,26 @@ class Table:
         """
         for name in names:
             if name not in self.columns:
+                close = next((column for column in self.columns if may_be(name, column)), "")
+                hint = f" It may be {close!r}." * bool(close)
                 raise InputError(
                     f"{self.name}column {name!r}: required, but missing; the required columns are {','.join(names)}."
+                    f"{hint}"
                 )
 
     def named(self, names: Mapping[str, str], words: Mapping[str, str], of: str) -> Self:
         """The table with other names of columns, and other units and words in its cells.
 
         Args:
-            names: for a name, the column that has it here, perhaps with a factor: "Load [kN]*1000", "time [ms]/1000".
+            names: for a name, the column that has it here, perhaps with a factor and an offset: "Load [kN]*1000",
+                "time [ms]/1000", "T [F]/1.8-17.78".
             words: for a word of the column `of`, the one in its cells here.
             of: a column of `names` or of this table.
 
         Raises:
             InputError: if a column is missing, or the table has the name already.
         """
-        columns, factors = list(self.columns), {}
+        columns, scales = list(self.columns), {}
         for name, text in names.items():
             scaled = None if text in columns else _SCALED.fullmatch(text)
             column = scaled[1] if scaled else text
@@ -163,20 +171,20 @@ class Table:
             place = self.columns.index(column)
             columns[place] = name
             if scaled:
-                factor = float(scaled[3])
-                if not 0.0 < factor < math.inf:
-                    raise InputError(f"{self.name}column {name!r}: the factor must be positive, got {text!r}.")
-                factors[place] = operator.mul if scaled[2] == "*" else operator.truediv, factor
+                factor, offset = float(scaled[3] or 1.0), float((scaled[4] or "") + (scaled[5] or "0"))
+                if not (0.0 < abs(factor) < math.inf and abs(offset) < math.inf):
+                    raise InputError(f"{self.name}column {name!r}: the factor must not be 0, got {text!r}.")
+                scales[place] = operator.truediv if scaled[2] == "/" else operator.mul, factor, offset
         word_at, known = columns.index(of) if of in columns else -1, {there: here for here, there in words.items()}
 
         def cell(place: int, value: Any) -> Any:
             if place == word_at and isinstance(value, str):
                 return known.get(value.strip(), value)
-            if place not in factors or _is_missing(value):
+            if place not in scales or _is_missing(value):
                 return value
             try:
-                apply, factor = factors[place]
-                return apply(_number_of(value), factor)
+                apply, factor, offset = scales[place]
+                return apply(_number_of(value), factor) + offset
             except (TypeError, ValueError, ArithmeticError):
                 return value
 
@@ -277,11 +285,18 @@ class Table:
         return InputError(f"{self.places[row]}, column {column}: {rule}, got {shown}.")
 
 
+def may_be(name: str, column: str) -> bool:
+    """Whether a column may be the one of this name, misspelt or with a unit: load [kN], Load, load_kN, laod."""
+    name, plain = name.casefold(), re.sub(r"\s*[\[({].*$", "", column).strip().casefold()
+    is_same = plain == name or re.match(rf"{re.escape(name)}[\s_,.-]", plain)
+    return bool(is_same or difflib.get_close_matches(plain, [name], 1, 0.75))
+
+
 def _number_of(value: Any) -> float:
     """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
     if isinstance(value, bool | np.bool_):
         raise ValueError
-    return float(value.replace("_", "?") if isinstance(value, str) else value)
+    return number_in(value) if isinstance(value, str) else float(value)
 
 
 def _is_column(value: object) -> bool:
@@ -357,8 +372,13 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
     rows: list[list[str]] = []
     places: list[str] = []
     try:
-        # utf-8-sig: spreadsheets write a byte order mark.
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with path.open("rb") as start:
+            mark = start.read(4)
+        if mark in (b"PK\3\4", b"\xd0\xcf\x11\xe0"):
+            raise InputError(f"{name}: is a workbook or an archive; save the table as CSV.")
+        # Spreadsheets write a byte order mark.
+        encoding = "utf-16" if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+        with path.open(encoding=encoding, newline="") as file:
             lines = csv.reader(file, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):

@@ -98,7 +98,7 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
             "line 252: times must rise by equal intervals (median: 0.02 s), got 0.03 s",
         ),
         ("0.00 1\n0.01 1e75\n", "sample 2 must be at most 1e+75 m/s2 in magnitude, got 9.81e+75"),
-        ("0.00 1\n0.01 nan\n", "line 2: must be numbers, got 'nan'"),
+        ("0.00 1\n0.01 nan\n", "line 2: must be finite, got 'nan'"),
         ("0.00 1\n0.01 2 3\n", "line 2: must have one or two numbers"),
         ("0.00 1\n", "at least 2 samples"),
         (HEADER + "NPTS= 3, DT= 0.01\n1 2\n", "points: 3 are stated, but 2 accelerations follow"),
@@ -140,7 +140,7 @@ def test_an_interval_that_is_none_is_refused_even_if_the_file_has_times(tmp_path
 ESM = "EVENT_NAME: X\nSAMPLING_INTERVAL_S: 0.005\nNDATA: 3\nUNITS: cm/s^2\nPGA_CM/S^2: 2.0\nDATA_TYPE: ACCELERATION\n"
 HEADERS = [
     (ESM, "cm/s2", 0.005),
-    ("PEAK ACC (g): 0.3\nunits: gal\ntime step (s) = 5e-3\nnumber of points = 3\n", "cm/s2", 0.005),
+    ("PEAK ACC (g): 0.003\nunits: gal\ntime step (s) = 5e-3\nnumber of points = 3\n", "cm/s2", 0.005),
     ("ACCELERATION (CM/S/S)\nNO. OF POINTS: 3\nSAMPLING RATE (Hz): 200\n", "cm/s2", 0.005),
     ("Accel. [m/s²]\n3 points at equal spacing of 0.005 sec\n8 points across in a row\n", "m/s2", 0.005),
     ("# sampling interval: 5 ms\n# unit = cm/sec**2\n", "cm/s2", 0.005),
@@ -193,7 +193,7 @@ def test_a_first_line_that_is_the_interval_or_the_number_of_points_is_no_sample(
     assert f"record begins with {said}, which is no acceleration" in doubts(record)[0]
     if len(first) > 5:
         assert read_accelerogram(path, "m/s2").acceleration.tolist() == [1.0, -2.0, 3.0]
-    with pytest.raises(InputError, match="line 1: must be an acceleration, got 4000, and the others are at most 3"):
+    with pytest.raises(InputError, match="sample 1: must be an acceleration, got 4000, and the others are at most 3"):
         read_accelerogram(written(tmp_path, "4000\n1\n-2\n3\n"), "m/s2", 0.01)
 
 
@@ -239,7 +239,7 @@ def test_the_unit_of_a_number_is_not_that_of_the_samples(tmp_path: Path, fact: s
         ("Time (s), Velocity (cm/s)\n0 1\n1 2\n", "must state an acceleration"),
         ("T (s) response spectrum\n0 1\n1 2\n", "must state an acceleration"),
         ("20.5678123.4567234.5678\n", "must be numbers"),
-        ("nan\n0.1\n0.2\n", "must be numbers, got 'nan'"),
+        ("nan\n0.1\n0.2\n", "must be finite, got 'nan'"),
         ("9.81\n0.1\n-0.2\n", "must be an acceleration, got 9.81"),
         ("UNITS OF G'S\n0.1\n", "unit: the header states g, got cm/s2"),
     ],
@@ -247,6 +247,60 @@ def test_the_unit_of_a_number_is_not_that_of_the_samples(tmp_path: Path, fact: s
 def test_what_is_no_acceleration_is_refused(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         read_accelerogram(written(tmp_path, text), "cm/s2", 0.01)
+
+
+MARKED = "0.1\n0.2\n-999\n0.1\n-999\n0.3\n"
+TIMES = "\n".join(f"{k} 0.{k}" for k in range(1, 6))
+
+
+@pytest.mark.parametrize(
+    ("text", "dt", "says"),
+    [
+        *((f"{fact}\n0.1\n-0.2\n", 0.01, "dt: the header states 0.005 s, got 0.01 s (line 1: ") for fact in (
+            "Frequency: 200 Hz", "Spacing used: 0.005 s", "Digitized with .005 seconds", "Rate 200 Hz", "(5.0D-3 sec)",
+        )),
+        ("PGA: 0.35 cm/s/s\n0.2\n-0.35\n", 0.01, "line 1: must agree with the largest of the samples, 0.35 g"),
+        ("Max. acc. (gal) = -350\n200\n-350\n", 0.01, "line 1: must agree with the largest of the samples, 350 g, got"),
+        ("PGA_M/S^2: 3.5\nPGA_G 0.1\n0.2\n-0.36\n", 0.01, "line 2: must agree with the largest"),
+        ("0,10 0,20 -0,30\n0,10 0,20 0,30\n0,1\n", 0.01, "line 1: must have decimal points, got '0,10 0,20 -0,30'"),
+        ("0,00;0,1\n0,01;0,2\n", None, "line 1: must have decimal points, got '0,00;0,1'"),
+        ("0,00\t1,2E-03\n0,01\t0,2\n", None, "line 1: must have decimal points"),
+        (MARKED, 0.01, "sample 3: must be an acceleration, got -999, and the others are at most 0.3. Remove"),
+        (MARKED.replace("999", "1e20"), 0.01, "sample 3: must be an acceleration, got -1e+20"),
+        (TIMES, None, "line 2: times must rise by less than 1 s, got 1 s. If the first column counts samples, dt"),
+        ("0 0.1\n5 0.2\n10 0.1\n", None, "line 2: times must rise by less than 1 s, got 5 s."),
+    ],
+)  # fmt: skip
+def test_what_contradicts_the_samples_or_the_option_is_refused(
+    tmp_path: Path, text: str, dt: float | None, says: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(says)):
+        read_accelerogram(written(tmp_path, text), "g", dt)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Rate 100 Hz", "Filter 0.1 Hz to 25 Hz", "Natural frequency of the sensor: 50 Hz", "HP 0.05 Hz, LP 30 Hz",
+        "Rate 200 m/s", "PGA: 0.35 g at 5.2 s", "PGA: 35 %g", "Peak acceleration = -343.2 cm/sec/sec",
+        "Multiple components: 3", "Scale factor: 1.00",
+    ],
+)  # fmt: skip
+def test_numbers_that_agree_or_mean_something_else_are_no_contradiction(tmp_path: Path, header: str) -> None:
+    record = read_accelerogram(written(tmp_path, f"{header}\n0.2\n-0.35\n"), "g", 0.01)
+    assert (record.peak, record.notes) == (pytest.approx(0.35 * GRAVITY), ())
+    # Of a file with a factor, the samples may be multiplied already.
+    record = read_accelerogram(written(tmp_path, f"{header}\nScale factor = 2.5\n0.2\n-0.35\n"), "g", 0.01)
+    assert record.notes == ("has a factor in its header, which is not applied: 'Scale factor = 2.5'.",)
+
+
+def test_a_column_that_counts_is_left_out_if_the_interval_is_known_and_quoted_cells_are_read(tmp_path: Path) -> None:
+    for text, dt in ((TIMES, 0.01), (f"NPTS= 5, DT= .01\n{TIMES}", None)):
+        record = read_accelerogram(written(tmp_path, text), "g", dt)
+        assert (record.dt, record.acceleration[-1]) == (0.01, pytest.approx(0.5 * GRAVITY))
+        assert record.notes == ("has a first column that counts the samples; it is left out.",)
+    quoted = '"Time (s)","Acc (g)"\n"0.00","0.1"\n"0.01","-.2D0"\n"0.02","0.123-105"\n'
+    assert read_accelerogram(written(tmp_path, quoted)).peak == pytest.approx(0.2 * GRAVITY)
 
 
 @pytest.mark.parametrize(

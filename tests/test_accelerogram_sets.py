@@ -150,7 +150,7 @@ Period (sec),Target pSa (g)
 def test_a_folder_from_peer_is_understood_by_its_table_or_by_its_names(tmp_path: Path) -> None:
     names = [word.strip() for line in SEARCHED.splitlines()[5:8] for word in line.split(",")[-3:]]
     for number, name in enumerate(names, 1):
-        text = f"ACCELERATION TIME SERIES IN UNITS OF G\nNPTS= 4, DT= .01 SEC\n0 {number} 2 0\n"
+        text = f"ACCELERATION TIME SERIES IN UNITS OF G\nNPTS= 4, DT= .01 SEC\n0 {number} {-number} 0\n"
         (tmp_path / name).write_text(text)
     by_names = read_record_set(tmp_path, vertical=True)
     (tmp_path / "_SearchResults.csv").write_text(SEARCHED)
@@ -223,3 +223,16 @@ def test_the_sets_of_fema_p695_have_their_components_and_peaks() -> None:
     assert found.notes == []
     # FEMA P695's table A-4D: the normalised PGA of its first record is 0.34 g.
     assert max(record.motion.peak for record in found.records[:2]) == pytest.approx(0.34 * GRAVITY, rel=0.03)
+
+
+def test_a_file_that_is_no_record_is_refused_with_what_to_do_and_the_table_s_name_may_be_in_any_case(
+    folder: Path,
+) -> None:
+    (folder / "README.txt").write_text("These are records.\n")
+    with pytest.raises(
+        InputError, match=r"README\.txt: .* If README\.txt is no record, name the records in records\.csv"
+    ):
+        read_record_set(folder, "g", 0.01)
+    names = [path.name for path in sorted(folder.iterdir()) if path.name != "README.txt"][:2]
+    (folder / "Records.CSV").write_text("\n".join(["file", *names]))
+    assert len(read_record_set(folder, "g", 0.01).records) == 2

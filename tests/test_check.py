@@ -1,5 +1,8 @@
 """`activefail check`: what a campaign file means, before hours are spent."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,8 @@ z = { value = 3.0 }
 
 FUNCTIONS = {
     "design['x'] - 0.3": (0, ["outcome    safe", "g          0.2", "agrees     "]),
+    "{'outcome': 'failure', 'margins': {'g': 0.2}}": (0, ["warning    the outcome failure contradicts all margins"]),
+    "{'outcome': 'failure', 'margins': {'g': -0.2}}": (0, ["outcome    failure\ng          -0.2\ntime "]),
     "'failure'": (0, ["outcome    failure", "g          undefined", "agrees     "]),
     "random.random()": (1, ["The same design has two results: g 0.", "with a fixed random seed"]),
     "random.choice([print('noise'), 1 / 0])": (
@@ -71,3 +76,14 @@ def test_simulations_done_elsewhere_and_the_bearing_are_described(tmp_path: Path
     done = activefail("check", tmp_path / "bearing.toml")
     assert (done.code, "agrees" in done.out, "T_b [s]: 2.5 to 5.5" in done.out) == (0, True, True), done
     refused(activefail("check", tmp_path / "none.toml"), "none.toml: cannot be read")
+
+
+def test_a_module_that_writes_to_the_descriptor_of_standard_output_spoils_no_json(tmp_path: Path) -> None:
+    noise = "import ctypes, os\nos.write(1, b'noise')\nctypes.CDLL(None).puts(b'more noise')\n"
+    (tmp_path / "model.py").write_text(f"{noise}\ndef run(design):\n    return design['x']\n")
+    (tmp_path / "mine.toml").write_text(f'simulator = {{ python = "model:run", margins = ["g"] }}\n{SPACE}')
+    words = [sys.executable, "-m", "activefail", "check", tmp_path / "mine.toml", "--json"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    rows = [(row["title"], row["text"]) for row in json.loads(done.stdout)["understood"]]
+    assert ("g", "0.5") in rows
+    assert "noise" in done.stderr

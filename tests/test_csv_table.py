@@ -61,6 +61,9 @@ BAD = {
         "column 'answer': would be overwritten by the output; rename or remove it",
     ),
     "empty file": ("", "is empty; a header is required"),
+    "Excel": (b"PK\x03\x04\x14\0", "is a workbook or an archive; save the table as CSV"),
+    "misspelt": ("aa,B [m]\n1,2\n", "column 'a': required, but missing; the required columns are a,b."),
+    "a unit": ("a,B [m]\n1,2\n", "column 'b': required, but missing; the required columns are a,b. It may be 'B [m]'"),
     "latin-1": (b"a,b\n1,2\n1,\xfc\n", "must be UTF-8 text"),
     "open quote": ('a,b\n1,"2\n', "not valid CSV"),
 }
@@ -99,9 +102,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 def test_a_table_is_read_however_a_spreadsheet_writes_it(
     table: Callable[[str | bytes], DesignTable], content: str
 ) -> None:
-    good = table(content)
-    assert (good.header, good.rows) == (("a", "b"), 2)
-    assert rows(good)[1] == [[1.0, 2.0], [3.0, 4.0]]
+    for good in (table(content), table(content.removeprefix("\ufeff").encode("utf-16"))):
+        assert (good.header, good.rows) == (("a", "b"), 2)
+        assert rows(good)[1] == [[1.0, 2.0], [3.0, 4.0]]
 
 
 def test_designs_are_in_the_order_asked_for_and_other_columns_are_kept_as_they_are(

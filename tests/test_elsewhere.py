@@ -337,6 +337,8 @@ WRONG = [
     ({"id": 8, "g": 1.0, "load": "nan"}, "column load: must be a finite number, got"),
     ({"id": 8, "force": 2.0}, "column 'outcome' or 'g': required, but missing; the columns are id,force"),
     ({"g": 1.0}, "column 'id': required, but missing"),
+    ({"id": 8, "cause": "time_limit", "g": ""}, "the margin g is nan; without an outcome it must be a finite number"),
+    ({"id": 8, "cause": "time_limit", "g": 1.0}, "column cause: must be empty beside the outcome safe, which it contr"),
 ]
 
 
@@ -421,6 +423,21 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
     assert [(float(row["load"]), row["outcome"]) for row in rows] == [(2.5, "failure"), (3.0, "safe")]
     # Their labels come back, and no spreadsheet runs them.
     assert [row["tested by"] for row in rows] == ["'=Ben"] * 2
+
+
+def test_columns_are_scaled_and_shifted_and_those_that_export_has_are_named(lab: Path) -> None:
+    rows = {"Load cell 1 [C]": [-271.15, -270.15], "strength": 8.0, "depth": [-100.0, 200.0], "origin": "Lyon", "id": 7}
+    names = {"load": "Load cell 1 [C]+273.15", "g": "depth*-0.01-0.5"}
+    with af.create_run(lab.with_name("run"), lab) as run:
+        for name in ("origin", "id"):
+            frame = pd.DataFrame(rows).drop(columns={"origin", "id"} - {name})
+            with pytest.warns(UserWarning, match=f"column '{name}' is not kept, for `export` has one; rename it"):
+                run.add(frame, names=names)
+        assert run.simulations["load"].tolist() == pytest.approx([2.0, 3.0])
+        assert run.simulations["g"].tolist() == [0.5, -2.5]
+        for wrong in ("strength*0", "strength/0", "strength*1e999"):
+            with pytest.raises(InputError, match="the factor must not be 0"):
+                run.add(pd.DataFrame(rows), names={"load": wrong, "g": "depth"})
 
 
 def test_simulations_outside_the_space_are_learned_from_if_they_are_to_be_kept(lab: Path) -> None:
@@ -999,7 +1016,8 @@ def test_a_misspelt_column_a_missing_margin_and_a_contradiction_are_warned_of(fo
     assert (said.code, said.out) == (0, "1 simulation added\n")
     # `add` ignores the id, so it does not miss it.
     first, second = said.err.splitlines()
-    assert first == f"warning: {path}: column 'caus' is ignored; 'cause' is missing."
+    way = ' (--map "cause=caus", with a factor if the unit differs)'
+    assert first == f"warning: {path}: column 'caus' is ignored; 'cause' is missing{way}."
     assert second.startswith(f"warning: {path}: row 1 (line 2): g is missing. A boundary is learned from a margin only")
 
 

@@ -23,7 +23,7 @@ from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.elsewhere import ElsewhereSimulator
 from activefail.simulators.function import PythonSimulator
-from activefail.simulators.interface import Simulator
+from activefail.simulators.interface import Results, Simulator
 from activefail.simulators.user_code import (
     COMMAND_KEY,
     CRITERION_KEY,
@@ -234,6 +234,21 @@ class Campaign:
         custom = self.settings.simulator
         known = {} if isinstance(custom, str) else custom.levels
         return np.array([[known[name][i] if name in known else 0.0 for name in names] for i in boundaries])
+
+    def contradicts(self, results: Results) -> NDArray[np.bool_]:
+        """Which simulations, (n,), have an outcome on the side of a boundary on which none of their margins is."""
+        simulator, custom = self.simulator, self.settings.simulator
+        found: NDArray[np.bool_] = np.zeros(len(results), dtype=np.bool_)
+        if isinstance(custom, str):
+            return found
+        for severity in range(1, len(simulator.outcomes)):
+            # With more than two outcomes, only stated levels tell a side.
+            stated = [name in custom.levels or len(simulator.outcomes) == 2 for name in simulator.margins]
+            margins = self.margins_at(severity, results.outcome, results.margins)[:, stated]
+            is_beyond = results.outcome[:, None] >= severity
+            found |= any(stated) & ((margins <= 0.0) != is_beyond).all(axis=1) & ~np.isnan(margins).any(axis=1)
+        found &= results.outcome >= 0
+        return found
 
     @property
     def severity(self) -> int:

@@ -1,8 +1,6 @@
 """Tables of results for `tell` and `add`: their columns, whether their designs match, which rows are refused."""
 
-import difflib
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Table
+from activefail.csv_table import Table, may_be
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
@@ -103,7 +101,7 @@ class ResultTable:
         table = reading.table(campaign, table)
         _require(table, [_ID])
         _require_result(campaign, table)
-        answers = [_OUTCOME, *campaign.simulator.margins]
+        answers = [_OUTCOME, _CAUSE, *campaign.simulator.margins]
         rows = range(len(table.rows))
         table = table.only([row for row in rows if any(table.cell(row, name) is not None for name in answers)])
         return cls._of_rows(campaign, table, reading, lambda row: _whole(table, row), lambda _row, _design: None)
@@ -187,23 +185,29 @@ class ResultTable:
             more = f" and {len(self.skipped) - _SHOWN} more" if len(self.skipped) > _SHOWN else ""
             rows = "1 row is" if len(self.skipped) == 1 else f"{len(self.skipped)} rows are"
             texts.append(f"{rows} skipped: {' '.join(self.skipped[:_SHOWN])}{more}")
+        # An exported table has all of these; `tell` requires the id.
+        lost = (
+            {*_EXPORTED, *([_ID] if len(self.ids) < len(self.results) else [])}
+            if not {*_EXPORTED} <= {*names}
+            else set()
+        )
         for name in names:
-            # `tell` requires the id, and `add` ignores it.
-            missing = [one for one in known if one not in (*names, _ID)]
-            close = [f"{one!r} is missing{_way(one, name)}" for one in missing if _may_be(one, name)]
-            close += [f"{one!r} is missing" for one in difflib.get_close_matches(name, missing, 1, 0.75)]
-            if name not in known and close:
-                texts.append(f"{self.table.name}column {name!r} is ignored; {close[0]}.")
-        if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
+            missing = [one for one in known if one not in (*names, _ID) and may_be(one, name)]
+            if name not in known and missing:
+                texts.append(
+                    f"{self.table.name}column {name!r} is ignored; {missing[0]!r} is missing{_way(missing[0], name)}."
+                )
+            if name in lost:
+                texts.append(f"{self.table.name}column {name!r} is not kept, for `export` has one; rename it.")
+        if not _levels(campaign) or campaign.settings.classifier.learns == "outcomes":
             return texts
         name, worst = simulator.margins[0], simulator.outcomes[-1]
         outcome, margin = self.results.outcome, self.results.margins[:, 0]
-        by_margin = sum((margin <= level).astype(np.int64) for level in levels)
         rules = {
             f"{name} is {{margin}}; no boundary can be learned from it.": np.isinf(margin),
             f"{name} is missing. A boundary is learned from a margin only if all simulations less severe than {worst} "
             "have it.": np.isnan(margin) & (outcome < len(simulator.outcomes) - 1),
-            f"{name} {{margin!r}} contradicts the outcome {{outcome}}.": (by_margin != outcome) & ~np.isnan(margin),
+            f"{name} {{margin!r}} contradicts the outcome {{outcome}}.": campaign.contradicts(self.results),
         }
         for text, breaks in rules.items():
             if (breaks & (outcome >= 0)).any():
@@ -298,12 +302,6 @@ def _known(campaign: Campaign) -> list[str]:
     return [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *space.names, *space.fixed]
 
 
-def _may_be(name: str, column: str) -> bool:
-    """Whether a column may be the one of this name, with a unit or in other letters: load [kN], Load, load_kN."""
-    plain = re.sub(r"\s*[\[({].*$", "", column).strip().casefold()
-    return plain == name.casefold() or bool(re.match(rf"{re.escape(name.casefold())}[\s_,.-]", plain))
-
-
 def _way(name: str, column: str) -> str:
     return f' (--map "{name}={column}", with a factor if the unit differs)'
 
@@ -318,10 +316,11 @@ def _require(table: Table, names: Sequence[str]) -> None:
         table.require(names)
     except InputError as error:
         missing = next(name for name in names if name not in table.columns)
-        close = [column for column in table.columns if _may_be(missing, column)]
-        other = f'Another name: --map "{missing}=NAME".'
-        named = f"It may be {close[0]!r}{_way(missing, close[0])}." if close else other
-        raise InputError(f"{error} {named}") from None
+        close = next((column for column in table.columns if may_be(missing, column)), "")
+        named = (
+            f"{str(error)[:-1]}{_way(missing, close)}." if close else f'{error} Another name: --map "{missing}=NAME".'
+        )
+        raise InputError(named) from None
 
 
 def _require_result(campaign: Campaign, table: Table) -> None:
@@ -333,7 +332,7 @@ def _require_result(campaign: Campaign, table: Table) -> None:
     deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) else ())]
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
-        close = [(name, column) for name in deciding for column in table.columns if _may_be(name, column)]
+        close = [(name, column) for name in deciding for column in table.columns if may_be(name, column)]
         hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else ""
         raise InputError(
             f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}.{hint}"
@@ -421,6 +420,10 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         result = read_answer(answer, outcomes, margins, levels, seconds)
     except UnusableAnswerError as error:
         raise InputError(f"{table.places[row]}: {error}.") from None
+    is_failure = cause[0] in getattr(campaign.simulator, "failing", ()) and result.outcome[0] == len(outcomes) - 1
+    if cause[0] < 0 and not is_failure:
+        rule = f"must be empty beside the outcome {outcomes[result.outcome[0]]}, which it contradicts"
+        raise table.broken(row, _CAUSE, rule, table.cell(row, _CAUSE))
     return Results(result.outcome, cause, result.margins, result.seconds)
 
 

@@ -38,12 +38,23 @@ app = typer.Typer(
 
 def program() -> None:
     """Run the command line as the process's main program."""
+    _reserve_output()
     try:
         main()
     except SystemExit as end:
         if end.code == INTERRUPTED:
             end_without_waiting()
         raise
+
+
+def _reserve_output() -> None:
+    """Give standard output another descriptor, so that compiled code that writes to descriptor 1 spoils no table."""
+    before = sys.stdout
+    if isinstance(before, io.TextIOWrapper) and sys.stderr is not None:
+        own = open(os.dup(1), "wb", 0 if before.write_through else -1)  # noqa: SIM115
+        by_line, at_once = before.line_buffering, before.write_through
+        sys.stdout = io.TextIOWrapper(own, before.encoding, before.errors, None, by_line, at_once)
+        os.dup2(2, 1)
 
 
 def main() -> None:

@@ -3,10 +3,11 @@
 import shutil
 import tempfile
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from activefail.cli.common import CampaignFile
+from activefail.cli.common import AsJson, CampaignFile, print_json
 from activefail.errors import SimulationError
 from activefail.visible import visible
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
 
 
-def check(campaign: CampaignFile) -> None:
+def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
     """Simulate one design of a campaign twice, and show what activefail understands.
 
     Shows variables, simulator, outcome, margins and time. The two results must agree, unless the file says with
@@ -24,14 +25,16 @@ def check(campaign: CampaignFile) -> None:
     from activefail.simulators.command import CommandSimulator
 
     folder, keeps = Path(tempfile.mkdtemp(prefix="activefail-check-")), False
+    shown = []
     try:
         assembled = campaign_for(folder, campaign)
         keeps = isinstance(assembled.simulator, CommandSimulator)  # a program's files show what it did
-        for title, text in _understood(assembled):
-            print(f"{title:<10} {visible(text)}", flush=True)
-        if not assembled.is_elsewhere:
-            for title, text in _simulated(assembled):
+        for title, text in chain(_understood(assembled), () if assembled.is_elsewhere else _simulated(assembled)):
+            shown.append({"title": title, "text": visible(text)})
+            if not as_json:
                 print(f"{title:<10} {visible(text)}", flush=True)
+        if as_json:
+            print_json({"understood": shown})
     finally:
         if not keeps:
             shutil.rmtree(folder, ignore_errors=True)
@@ -99,7 +102,10 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
             results.append(executor.run(simulator, X))
         for fault in results[-1].faults.values():
             raise SimulationError(f"The simulation failed: {fault}.")
-    yield from in_words(simulator, results[0]).items()
+    first = in_words(simulator, results[0])
+    yield from first.items()
+    if campaign.contradicts(results[0])[0]:
+        yield "warning", f"the outcome {first['outcome']} contradicts all margins; a margin at its level or below fails"
     seconds = max(float(one.seconds[0]) for one in results)
     budget = campaign.settings.sampling.budget
     yield (

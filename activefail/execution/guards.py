@@ -3,6 +3,8 @@
 import multiprocessing
 import pickle
 import select
+import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import spawn
 from multiprocessing.reduction import ForkingPickler
@@ -167,8 +169,9 @@ def _check_output() -> None:
         BrokenPipeError: if the pipe is closed.
     """
     streams = select.poll()
-    for descriptor in (1, 2):
-        streams.register(descriptor, 0)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        with suppress(AttributeError, ValueError):  # a stream that is no file
+            streams.register(stream.fileno(), 0)
     if any(event & (select.POLLERR | select.POLLHUP) for _, event in streams.poll(0)):
         raise BrokenPipeError("the output pipe was closed")
 

@@ -238,7 +238,9 @@ class _Handler(BaseHTTPRequestHandler):
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
         if not self.server.knows(host):
             raise _RefusedError(HTTPStatus.MISDIRECTED_REQUEST, "The Host header does not name this server.")
-        if origin not in (None, f"http://{host}", f"https://{host}"):
+        # A proxy may replace the Host; browsers then still say whose page asks.
+        is_own = self.headers.get("Sec-Fetch-Site") == "same-origin"
+        if not is_own and origin not in (None, f"http://{host}", f"https://{host}"):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "Requests from other sites are refused.")
         try:
             self.url = urlsplit(self.path)

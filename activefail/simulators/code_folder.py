@@ -3,8 +3,9 @@
 import ast
 import hashlib
 import importlib
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -67,6 +68,12 @@ class _FolderFinder:
         sys.meta_path.remove(self)
 
 
+_MODULE = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*")
+"""The name of a module."""
+
+_TEXT = re.compile(r"[./]*([^\W\d]\w*(?:[./][^\W\d]\w*)*)([./]?)")
+"""A text that may name a module or its file, or begin such a name."""
+
 _compiled: dict[Path, str] = {}
 """Digests of the compiled modules that this process has loaded."""
 
@@ -108,9 +115,25 @@ def file_of(module: str, folder: Path) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
+def files_of(names: Iterable[str], folder: Path) -> list[Path]:
+    """The files of modules in the folder, of the packages around them, and of all modules in `package.*`.
+
+    Args:
+        names: full names; others name nothing.
+        folder: of the code.
+    """
+    every = {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}
+    for name in [name for name in every if name.endswith("*")]:
+        package = folder.joinpath(*name.split(".")[:-1])
+        modules = {beside.name.partition(".")[0] for beside in package.iterdir()} if package.is_dir() else ()
+        every |= {f"{name[:-1]}{module}" for module in modules}
+    return [file for name in sorted(every) if _MODULE.fullmatch(name) and (file := file_of(name, folder))]
+
+
 def sources_of(path: Path, folder: Path) -> dict[Path, str]:
     """Digests of a module's file and of all files in the folder that it imports, directly or not; empty without a file.
 
+    A text that could be the name of a module counts as an import, also as the beginning of a name that is computed.
     What a compiled module imports cannot be read: all modules beside it count.
     """
     importlib.invalidate_caches()
@@ -123,11 +146,8 @@ def sources_of(path: Path, folder: Path) -> dict[Path, str]:
             package = path.parent.relative_to(folder).parts
             tree = syntax_of(content) if path.suffix == ".py" else None
             digests[path] = sha256(content if tree is None else dumped(tree).encode())
-            if path.suffix == ".py":
-                names = set() if tree is None else _names_imported(tree, package)
-            else:
-                names = {".".join((*package, beside.name.partition(".")[0])) for beside in path.parent.iterdir()}
-            pending += filter(None, (file_of(name, folder) for name in names))
+            beside = {".".join((*package, "*"))} if path.suffix != ".py" else set()
+            pending += files_of(beside if tree is None else _names_imported(tree, package), folder)
     return digests
 
 
@@ -145,7 +165,7 @@ def sha256(content: bytes) -> str:
 
 
 def _names_imported(tree: ast.Module, package: tuple[str, ...]) -> set[str]:
-    """Full names that a source in a package imports: modules, their parent packages, and names that may be modules."""
+    """Full names that a source in a package imports, or may import: modules, and names or texts that may be modules."""
     names: set[str] = set()
     for node in ast.walk(tree):
         match node:
@@ -154,9 +174,7 @@ def _names_imported(tree: ast.Module, package: tuple[str, ...]) -> set[str]:
             case ast.ImportFrom(module=module, names=aliases, level=level):
                 around = package[: len(package) + 1 - level] if level else ()
                 names.update(".".join(filter(None, (*around, module, alias.name))) for alias in aliases)
-            case ast.Call(
-                func=ast.Name(id="import_module" | "__import__") | ast.Attribute(attr="import_module"),
-                args=[ast.Constant(value=str(name)), *_],
-            ):
-                names.add(".".join((*package, name[1:])) if name.startswith(".") else name)
-    return {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}
+            case ast.Constant(value=str(text)) if match := _TEXT.fullmatch(text):
+                name = match[1].replace("/", ".") + (".*" if match[2] else "")
+                names |= {name, ".".join((*package, name))}
+    return names

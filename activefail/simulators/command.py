@@ -20,10 +20,11 @@ import numpy as np
 
 from activefail.errors import InputError, reason_of, signal_name
 from activefail.files import end_of, make_folder
+from activefail.numerals import number_in
 from activefail.parameter import exact
-from activefail.simulators.code_folder import sha256, sources_of
+from activefail.simulators.code_folder import files_of, sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
-from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, files_of, filled_file
+from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, filled_file, words_of
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
@@ -38,8 +39,8 @@ LARGEST_ANSWER = 1_000_000
 _LARGEST_OUTPUT = 100_000_000
 """Most bytes in a file that a pattern is searched in."""
 
-_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD])\Z")
-_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD][+-]?\d")
+_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD][+-]?|(?<![\w-])[-−])\Z")
+_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD]?[+-]?\d")
 """What is before and after a match that is only a part of a number."""
 
 _OWN_FILES = ("design.json", "stdout.txt", "stderr.txt", "answer.json")
@@ -121,16 +122,20 @@ class CommandSimulator:
                     raise InputError(f"simulator.copy: {source} must not hold the run folder.")
 
     def digest(self) -> str:
-        """Of the files in `here` that decide results: templates, copies, and those that the command names.
+        """Of the files in `here` that decide results: templates, copies, and what the command names.
 
-        Of a Python program also what it imports from the folder of its file (`sources_of`).
+        These are files, folders with a slash, and modules, with what they import from their folder or from `here`.
         """
-        assert self.here is not None
-        paths = [self.here / file for file in (*self.templates, *self.copies, *files_of(self.command))]
-        files = [file for path in paths for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
+        here, words = self.here, words_of(self.command)
+        assert here is not None
+        named = {word for word in words if "/" in word or os.path.isfile(here / word)} - {"./"}
+        paths = [here / name for name in (*self.templates, *self.copies, *named) if not os.path.isabs(name)]
+        files = [file for path in paths for file in ([path] if os.path.isfile(path) else path.rglob("*"))]
         digests: dict[Path, str] = {}
         for file in filter(Path.is_file, files):
             digests |= sources_of(file, file.parent) if file.suffix == ".py" else {file: sha256(file.read_bytes())}
+        for file in files_of([name for word in words for name in (word, f"{word}.__main__")], here):
+            digests |= sources_of(file, here)
         lines = [f"{os.path.relpath(file, self.here)} {digest}\n" for file, digest in sorted(digests.items())]
         return sha256("".join(lines).encode())
 
@@ -303,8 +308,7 @@ def _matched(pattern: str, path: Path) -> float:
         around = text[max(0, found.start(1) - 10) : found.end(1) + 10]
         raise UnusableAnswerError(f"simulator.pattern: must match whole numbers, got {found[1]!r} of {around!r}")
     try:
-        # Fortran writes 1.0D-3.
-        return float(re.sub("[dD]", "e", found[1] or "").replace("_", "?"))
+        return number_in(found[1] or "")
     except ValueError:
         raise UnusableAnswerError(f"simulator.pattern: must match a number, got {found[1]!r} in {path.name}") from None
 

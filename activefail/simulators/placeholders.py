@@ -5,6 +5,7 @@ import shlex
 import string
 from collections.abc import Collection, Mapping
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 
 from activefail.errors import InputError
@@ -15,13 +16,17 @@ LONGEST_NUMBER = 100
 PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
 """Placeholders of a command that are paths, and the environment variables that have the same value."""
 
-_SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
+_NO_SHELL = re.compile(r"i?python|pypy")
+"""Programs whose option -c is followed by other code than a shell's."""
 
 _IN_FILE = re.compile(r"(?<!\$)\{\{[^\W\d]\w*\}\}|(?<!\$)\{([^\W\d]\w*)(?::([^{}]*))?\}")
 """A placeholder in an input file, where all other braces and `${name}` stay; `{{name}}` stays as `{name}`."""
 
-_OF_CODE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{\{AF_HERE\}\})[\"']?/([^\s'\"]+)")
-"""A file of the code's folder in a command."""
+_PIECE = re.compile(r"""(?<!\S)#[^\n]*|\\.|'[^']*'|"(?:\\.|[^"\\])*"|\{\w+\}""", re.DOTALL)
+"""Of a shell's script: a comment, an escape, a quotation, or a placeholder outside quotations."""
+
+_HERE = re.compile(r"(?:\{here\}|\$AF_HERE|\$\{\{AF_HERE\}\})/")
+"""The code's folder before a file in it."""
 
 
 class Number(float):
@@ -94,27 +99,29 @@ def arguments(command: str, design: Mapping[str, Value], paths: Mapping[str, Pat
     values |= {name: str(path) for name, path in paths.items()}
     filled = []
     for place, part in enumerate(parts):
-        if _is_shell_script(parts[:place]):
-            part = _by_environment(part, references)
-        elif re.search(r"[\s(]", part):
-            for name, path in paths.items():
-                if f"{{{name}}}" in part and re.search(r"""['"`$\\;&|<>*?!\n]""", str(path)):
-                    raise InputError(
-                        f"simulator.command: the path {str(path)!r} contains characters that {part!r} may read as "
-                        f"code; use the environment variable {PATHS[name]} there instead of {{{name}}}."
-                    )
-        filled.append(part.format_map(values))
+        is_script = _is_shell_script(parts[:place])
+        # Of a script, what is quoted with blanks may be code for another program.
+        code = [text for text in _PIECE.findall(part) if text[0] in "'\""] if is_script else [part]
+        for name in references if is_script else paths:
+            text = next((text for text in code if f"{{{name}}}" in text and re.search(r"[\s(]", text)), None)
+            unsafe = rf"""['"`$\\;&|<>*?!\n{" ()" if is_script else ""}]"""
+            if text is not None and re.search(unsafe, str(values[name])):
+                raise InputError(
+                    f"simulator.command: {values[name]!r} contains characters that {text!r} may read as code; use the "
+                    f"environment variable {references[name]} there instead of {{{name}}}."
+                )
+        filled.append((_by_environment(part, references) if is_script else part).format_map(values))
     return filled
 
 
 def _is_shell_script(before: list[str]) -> bool:
-    """Whether the argument after these is the script of a shell: `sh -c`, also after `env`, `nice` and the like."""
-    shells = [place for place, part in enumerate(before) if Path(part).name in _SHELLS]
-    return bool(shells) and before[-1] != before[shells[-1]] and re.fullmatch(r"-\w*c", before[-1]) is not None
+    """Whether the argument after these is a shell's script: that of `sh -c`, `flock FILE -c`, `su --command`."""
+    is_other = any(_NO_SHELL.match(Path(part).name) for part in before)
+    return len(before) > 1 and re.fullmatch(r"-\w*c|--command", before[-1]) is not None and not is_other
 
 
 def _by_environment(script: str, references: Mapping[str, str]) -> str:
-    """A script for a shell with references to the environment in place of paths and texts.
+    """A script for a shell with references to the environment in place of paths and texts, without comments.
 
     A shell expands a reference in double quotes to one word, whatever it contains, and never runs it.
 
@@ -122,16 +129,15 @@ def _by_environment(script: str, references: Mapping[str, str]) -> str:
         script: the script.
         references: names of placeholders, and of the variables of the environment.
     """
-    filled, quote = [], ""
-    names = "|".join(rf"\{{{name}\}}" for name in references)
-    for piece in re.split(rf"({names}|\\.|['\"])", script, flags=re.DOTALL):
-        if piece in ("'", '"') and quote in ("", piece):
-            quote = "" if quote else piece
-        if name := references.get(piece.strip("{}")) if piece.startswith("{") else None:
-            reference = f"${{{{{name}:?}}}}"
-            piece = {"": f'"{reference}"', '"': reference, "'": f"'\"{reference}\"'"}[quote]
-        filled.append(piece)
-    return "".join(filled)
+
+    def filled(piece: re.Match[str]) -> str:
+        text, quote = piece[0], piece[0][0]
+        for name, variable in references.items():
+            reference = f"${{{{{variable}:?}}}}"
+            text = text.replace(f"{{{name}}}", {'"': reference, "'": f"'\"{reference}\"'"}.get(quote, f'"{reference}"'))
+        return "" if quote == "#" else text
+
+    return _PIECE.sub(filled, script)
 
 
 def check_file(text: str, quantities: Mapping[str, Value]) -> list[str]:
@@ -170,6 +176,24 @@ def filled_file(text: str, design: Mapping[str, Value]) -> str:
     return _IN_FILE.sub(filled, text)
 
 
-def files_of(command: str) -> list[str]:
-    """The files that a command names in the folder of the code, relative to it."""
-    return _OF_CODE.findall(command)
+def words_of(command: str) -> set[str]:
+    """The words of a command that may name files or modules, also those in its scripts, but not where output goes.
+
+    `{here}/` becomes `./`.
+    """
+    try:
+        lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
+        lexer.whitespace_split, lexer.commenters = True, ""
+        words = list(lexer)
+    except ValueError:  # an apostrophe in a comment, or another language than a shell's
+        words = re.sub(r"['\"]", " ", command).split()
+    found = set()
+    for before, word in pairwise(["", *words]):
+        if before.startswith(">"):
+            continue
+        is_script = word != command and re.search(r"[\s'\"()]", word)
+        found |= words_of(word) if is_script else set()
+        for text in (word,) if is_script else (word, *re.split("[=:,;]", word)):
+            lead, *path = _HERE.split(text, 1)
+            found.add(f"./{path[0]}" if path and not (lead and is_script) else text)
+    return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from decimal import Decimal
+from enum import Enum
 from numbers import Real
 from typing import Any
 
@@ -36,7 +37,7 @@ def read_answer(
     Raises:
         UnusableAnswerError: if the answer breaks a rule.
     """
-    if isinstance(answer, str):
+    if isinstance(answer, str | Enum):
         answer = {"outcome": answer}
     elif levels and not isinstance(answer, Mapping):
         answer = _of_limit_state(answer, outcomes, margins[0], levels)
@@ -48,6 +49,7 @@ def read_answer(
             f"the answer may contain only outcome and margins, got {sorted(map(str, unknown))[0]!r}"
         )
     outcome, margin_values = answer.get("outcome"), answer.get("margins", {})
+    outcome = outcome.value if isinstance(outcome, Enum) else outcome
     # A subclass of str may override `==`; compare its characters.
     outcome_name = str.__str__(outcome) if isinstance(outcome, str) else None
     if outcome_name not in outcomes:
@@ -92,7 +94,12 @@ def _of_limit_state(
 
 
 def _one_number(value: object) -> Any:
-    """The number in a scalar, or in an array or list of one; None if there is no number, more than one, or a bool."""
+    """The number in a scalar, or in an array or list of one; None if there is no number, more than one, or a bool.
+
+    Nor is a quantity with a unit a number: the unit of the margin may be another.
+    """
+    if isinstance(value, Enum) or hasattr(value, "unit") or hasattr(value, "units"):
+        return None
     try:
         array = np.asarray(value.detach() if hasattr(value, "detach") else value)  # a tensor with a gradient
     except Exception:  # whatever the value's own conversion raises

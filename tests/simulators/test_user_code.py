@@ -79,6 +79,10 @@ IMPORTS = {
     "import importlib\nimportlib.import_module('helper')": "helper",
     "from importlib import import_module as load, import_module\nimport_module('parts.helper')": "parts/helper",
     "__import__('helper')": "helper",
+    "from parts import *": "parts/helper",
+    "import importlib\nnames = [f'parts.{name}' for name in 'ab']": "parts/helper",
+    "from importlib import import_module as load\nload(name='helper')": "helper",
+    "import runpy\nrunpy.run_path('./parts/helper.py')": "parts/helper",
     "def late():\n    import helper": "helper",
 }
 
