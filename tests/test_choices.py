@@ -164,6 +164,7 @@ def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
 def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
         answers, planes = Answers(run.findings), coordinates(run.findings).planes
+        assert run.findings.influence[0] == max(run.findings.influence)
         about, point = answers.about(), answers.about()["presets"][0]["point"]
         assert [one["choices"] for one in about["variables"]][2:] == [("A", "B", "soft clay"), ("frame", "wall")]
         assert {*about["plane"]} == {"load", "storeys"}

@@ -155,12 +155,14 @@ def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, mo
 
 
 def test_the_campaign_of_the_page_on_distributions_is_one() -> None:
-    campaign, in_steps, _ = blocks("docs/distributions.md", "toml")
+    campaign, in_steps, with_choices, _ = blocks("docs/distributions.md", "toml")
     settings = checked(CampaignSettings, tomllib.loads(campaign), "docs/distributions.md")
     assert settings.sampling.batch == 1
     assert settings.space["load"].distribution == "gumbel_max"
     stepped = settings.model_dump() | tomllib.loads(in_steps)
     assert checked(CampaignSettings, stepped, "docs/distributions.md").space["storeys"].step == 1
+    chosen = settings.model_dump() | tomllib.loads(with_choices) | {"correlation": []}
+    assert checked(CampaignSettings, chosen, "docs/distributions.md").space["plate"].choices == [8, 10, 12, 15]
 
 
 def test_the_settings_for_a_cluster_are_settings_and_its_python_compiles() -> None:

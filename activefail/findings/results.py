@@ -124,8 +124,8 @@ class Findings:
         changes = []
         for column in range(self.campaign.space.dimension):
             moved = pool.copy()
-            # Rolling by half the sample redraws the variable without a random number.
-            moved[:, column] = np.roll(pool[:, column], len(pool) // 2)
+            # Rolling redraws the variable without a random number; by half the sample, a Sobol' point hardly moves.
+            moved[:, column] = np.roll(pool[:, column], len(pool) // 3)
             changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
         return np.array(changes)
 
