@@ -316,6 +316,8 @@ class DesignSpace:
 
     def rounded(self, X: Array) -> Array:
         """Designs, (n, d), whose values are those of variables with steps, where they differ by rounding alone."""
+        if all(parameter.step is None for parameter in self.parameters):
+            return np.asarray(X)
         columns = zip(self.parameters, np.asarray(X).T, strict=True)
         return np.stack([np.where(p.contains(x), p.rounded(x), x) for p, x in columns], axis=-1)
 
