@@ -124,11 +124,12 @@ class CommandSimulator:
     def digest(self) -> str:
         """Of the files in `here` that decide results: templates, copies, and what the command names.
 
-        These are files, folders with a slash, and modules, with what they import from their folder or from `here`.
+        These are files, folders with a slash in `here`, and modules, with what they import from their folder or `here`.
         """
         here, words = self.here, words_of(self.command)
         assert here is not None
-        named = {word for word in words if "/" in word or os.path.isfile(here / word)} - {"./"}
+        inside = {word for word in words if "/" in word and here.resolve() in (here / word).resolve().parents}
+        named = inside | {word for word in words if os.path.isfile(here / word)}
         paths = [here / name for name in (*self.templates, *self.copies, *named) if not os.path.isabs(name)]
         files = [file for path in paths for file in ([path] if os.path.isfile(path) else path.rglob("*"))]
         digests: dict[Path, str] = {}

@@ -16,8 +16,9 @@ LONGEST_NUMBER = 100
 PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
 """Placeholders of a command that are paths, and the environment variables that have the same value."""
 
-_NO_SHELL = re.compile(r"i?python|pypy")
-"""Programs whose option -c is followed by other code than a shell's."""
+_SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
+_WITH_SHELL = ("flock", "su", "runuser", "sg", "script")
+"""Programs that give a shell what follows their option -c, also after operands."""
 
 _IN_FILE = re.compile(r"(?<!\$)\{\{[^\W\d]\w*\}\}|(?<!\$)\{([^\W\d]\w*)(?::([^{}]*))?\}")
 """A placeholder in an input file, where all other braces and `${name}` stay; `{{name}}` stays as `{name}`."""
@@ -116,8 +117,16 @@ def arguments(command: str, design: Mapping[str, Value], paths: Mapping[str, Pat
 
 def _is_shell_script(before: list[str]) -> bool:
     """Whether the argument after these is a shell's script: that of `sh -c`, `flock FILE -c`, `su --command`."""
-    is_other = any(_NO_SHELL.match(Path(part).name) for part in before)
-    return len(before) > 1 and re.fullmatch(r"-\w*c|--command", before[-1]) is not None and not is_other
+    *words, option = before or [""]
+    places = [place for place, word in enumerate(words) if Path(word).name in (*_SHELLS, *_WITH_SHELL)]
+    if not places or not re.fullmatch(r"-\w*c|--command", option):
+        return False
+    # After an operand, the file of a script, a shell's options are those of the script.
+    takes_operands = Path(words[places[-1]]).name in _WITH_SHELL
+    options = pairwise(words[places[-1] :])
+    return takes_operands or all(
+        word.startswith(("-", "+")) or re.match(r"[-+]\w*o$", former) for former, word in options
+    )
 
 
 def _by_environment(script: str, references: Mapping[str, str]) -> str:

@@ -570,6 +570,7 @@ HOSTILE = "case 1 (final) $(touch ran) `touch ran` ; touch ran ; 'q' \"p\" & $HO
 SCRIPTS = {
     "sh -c 'cat {here}/answer > {out}'": True,
     'sh -c \'cat "{here}/answer" > "{out}"\'': True,
+    "bash -euo pipefail -c 'cat {here}/answer > {out}'": True,
     "env A=1 bash -ec 'cd / && cat {here}/answer > {out}'": True,
     "sh -c \"cat '{here}/answer' > '{out}'\"": True,
     "sh -c 'x=$(cat {here}/answer) && printf %s \"$x\" > {out}'": True,
@@ -577,6 +578,9 @@ SCRIPTS = {
     "sh -c 'cp $AF_HERE/answer $AF_OUT'": False,  # unquoted, so it is split at blanks
     "cp {here}/answer {out}": True,
     "sh {here}/copy.sh": True,
+    "sh {here}/first.sh -c {here}/answer": True,
+    "timeout 9 env -u c cp {here}/answer {out}": True,
+    "{here}/solve -c {here}/answer": True,
     "flock {here}/answer -c 'cat {here}/answer > {out}'": True,
     "sh -c '# don\\x27t\ncat {here}/answer > {out}'": True,
     "sh -c \"sh -c 'cat {here}/answer' > {out}\"": False,  # another shell splits the path at blanks
@@ -590,6 +594,9 @@ def test_no_path_runs_as_code_and_scripts_work_in_any_folder(tmp_path: Path, scr
     here, works = tmp_path / name, SCRIPTS[script]
     here.mkdir()
     (here / "answer").write_text('{"outcome": "safe"}')
+    (here / "first.sh").write_text('cat "$2" > "$AF_OUT"')
+    (here / "solve").write_text('#!/bin/sh\ncat "$2" > "$AF_OUT"')
+    (here / "solve").chmod(0o755)
     (here / "copy.sh").write_text('cat "$AF_HERE/answer" > "$AF_OUT"; test "$AF_drift $AF_storeys" = "2.5 3.0"')
     script = script.replace("\\x27", "'\"'\"'")  # an apostrophe in the script
     simulator = CommandSimulator(SPACE, script, here, here / "work", ("safe", "failure"), ())
@@ -696,6 +703,7 @@ NAMED = {
     "solver --input={here}/mesh.msh": "mesh.msh",
     "sh -c '# don\"\"t\ncat ${{AF_HERE}}/mesh.msh'": "mesh.msh",
     "solver {here}/data/": "data/mesh.msh",
+    "sh -c 'cd ../ && {here}/solve {here}/./ /'": "solve",
 }
 
 
