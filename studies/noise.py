@@ -1,12 +1,13 @@
 """A simulator that does not repeat: the surface P(failure | design), and intervals of the probability.
 
     python studies/noise.py --seeds 20
-    python studies/noise.py --seeds 20 --case rare --learns outcomes
+    python studies/noise.py --intervals 200
 
 The margin is 1 - x - y + N(0, 0.15) over the unit square, or 1.7 - x - y ("rare"), and failure where it is at most 0. A
 campaign simulates 160 designs. The table gives the mean absolute error of P(failure | design) over the square, that of
-BoTorch's SingleTaskGP of the same margins, the probability of failure, by the classifier and from 200 fresh ones
-too, and how often the 90 % interval of these holds the truth.
+BoTorch's SingleTaskGP of the same margins, the probability of failure, by the classifier and from 200 fresh
+simulations, and how often the 90 % interval of these holds the truth. With --intervals it is how often intervals
+hold it by classifiers that are wrong.
 """
 
 import itertools
@@ -24,7 +25,11 @@ from study import Rows, asked, head, in_memory, line, parallel
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
+from activefail.parameter import Parameter
+from activefail.reliability.estimate import baseline, plan_estimate
+from activefail.reliability.strata import plan_strata
 from activefail.simulators.interface import Results
+from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
 
 NOISE, BUDGET, FRESH = 0.15, 160, 200
@@ -93,9 +98,30 @@ def by_botorch(history):
     return ndtr((-next_one.mean / next_one.variance.sqrt()).detach().numpy()[:, 0])
 
 
+def coverage(case, shift, spread, repeats):
+    """How often 90 % intervals hold the truth, by a classifier that is wrong: importance sampling, and strata."""
+    space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xy"))
+    offset = OFFSETS[case]
+    truth = ndtr((GRID.sum(axis=1) - offset) / NOISE).mean()
+
+    def probit(X):
+        return (X.sum(axis=1) - offset - shift) / (spread * NOISE)
+
+    of_classifier, held = baseline(probit, space), []
+    for seed in range(repeats):
+        rng = np.random.default_rng(seed)
+        in_strata = plan_strata(probit, space, FRESH, rng)
+        for plan in (plan_estimate(probit, space, of_classifier, FRESH, rng), in_strata):
+            beyond = rng.random(FRESH) < ndtr((plan.designs.sum(axis=1) - offset) / NOISE)
+            found = plan.estimate(beyond, np.ones(FRESH, dtype=bool), 0.9)
+            held.append(found.low <= truth <= found.high)
+    return np.reshape(held, (repeats, 2)).mean(axis=0)
+
+
 def main():
     options = asked(
         __doc__,
+        intervals=0,
         seeds=20,
         case=list(OFFSETS),
         learns=["outcomes", "g"],
@@ -104,6 +130,11 @@ def main():
         file=Path,
         processes=1,
     )
+    if options.intervals:
+        head("case", "classifier's shift", "its noise / true noise", "importance sampling covers", "strata cover")
+        for case, shift, spread in itertools.product(options.case, (0.0, 0.05), (0.5, 1.0, 2.0)):
+            line(case, shift, spread, *(f"{held:.3f}" for held in coverage(case, shift, spread, options.intervals)))
+        return
     rows = Rows(options.file)
     names = "case", "learns", "criterion", "initial"
     terms = list(itertools.product(*(getattr(options, name) for name in names)))
