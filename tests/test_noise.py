@@ -1,6 +1,6 @@
 """Simulators that do not repeat: detection, replicates, the noise in the model, and what judges it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from activefail.campaign.settings import CampaignSettings, checked
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.history import History
+from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import current, learn_from
 from activefail.loop.running import run
 from activefail.loop.telling import add
@@ -88,6 +89,21 @@ def test_one_design_is_simulated_twice_unless_the_file_says_that_it_repeats(repe
         assert designs.tobytes() == History.of(other.batches).designs.tobytes()
 
 
+@pytest.mark.parametrize("batch", [1, 10])
+def test_rounding_is_no_noise(batch) -> None:
+    sampling = {"initial": 58, "budget": 60, "batch": batch, "asynchronous": batch == 1}
+    _, store = taken(HalfPlane(noise=1e-14), sampling=sampling)
+    assert len(History.of(store.batches)) == 60
+
+
+def test_results_of_another_folder_take_the_place_of_the_initial_design() -> None:
+    campaign, former = taken(HalfPlane(), False)
+    first, store = History.of(former.batches)[:36], MemoryStore(campaign.schema)
+    results = Results(first.outcome, first.outcome, first.margins, np.zeros(36))
+    add(campaign, store, first.designs, replace(results, cause=np.zeros(36, dtype=np.int8)))
+    assert len(HandedOut.of(store).initial_left(campaign)) < 40 - 20
+
+
 @pytest.fixture(scope="module", params=["outcomes", "g"])
 def noisy(request):
     campaign, store = taken(HalfPlane(), False, classifier={"learns": request.param})
@@ -128,9 +144,10 @@ def test_replicates_are_recorded_and_an_outcome_s_share_is_learned() -> None:
     assert classifier.probabilities(X[30:31])[0, 1] == pytest.approx(0.3, abs=0.08)
 
 
-def test_a_stop_rule_that_presumes_no_noise_is_refused() -> None:
-    with pytest.raises(InputError, match=r"`stop.error` requires a simulator that repeats"):
-        settings_of(False, stop={"error": 0.02})
+@pytest.mark.parametrize(("key", "value"), [("stop", {"error": 0.02}), ("validation", {"size": 100})])
+def test_what_counts_wrong_designs_is_refused(key, value) -> None:
+    with pytest.raises(InputError, match=rf"`{key}\.\w+` requires a simulator that repeats"):
+        settings_of(False, **{key: value})
 
 
 def test_the_log_score_and_the_calibration_are_those_of_the_probabilities() -> None:

@@ -64,6 +64,10 @@ def _table_1() -> dict[str, Variable | FixedVariable]:
     return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
 
 
+IF_REPEATABLE = "requires a simulator that repeats: with noise, no design is simply wrong"
+"""Rule of what counts wrong designs."""
+
+
 class CampaignSettings(Section):
     """The definition of a campaign; with the same versions and threads it gives the same bits.
 
@@ -176,8 +180,9 @@ class CampaignSettings(Section):
 
     @model_validator(mode="after")
     def _verifies_what_can_be_wrong(self) -> Self:
-        if self.error_rule is not None and not self.is_repeatable:
-            raise ValueError("`stop.error` requires a simulator that repeats: with noise, no design is simply wrong")
+        for key, is_set in (("stop.error", self.error_rule is not None), ("validation.size", self.validation.size > 0)):
+            if is_set and not self.is_repeatable:
+                raise ValueError(f"`{key}` {IF_REPEATABLE}")
         return self
 
     @model_validator(mode="after")

@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
+from activefail.campaign.settings import IF_REPEATABLE
 from activefail.comparison.measures import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
@@ -166,8 +167,10 @@ def compare(
 
     Raises:
         InputError: if a budget is below 2 or above the campaign's simulations, the size of a static design is below 2,
-            or the campaign has no simulations.
+            the campaign has no simulations, or its simulator does not repeat.
     """
+    if not campaign.settings.is_repeatable:
+        raise InputError(f"compare: {IF_REPEATABLE}.")
     seed = campaign.settings.seed
     history = History.of(store.batches)
     done = len(history)

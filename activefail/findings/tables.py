@@ -57,7 +57,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     """The simulations of a record, in its order.
 
     `id`, `iteration`, `origin`, the variables, `outcome`, `cause` ("" if there is none), the margins (NaN where
-    undefined), `seconds`, `folder` if a program runs them, and the user's own columns of tables of results.
+    undefined), `seconds`, `folder` if a program that repeats runs them, and the user's own columns of tables.
     """
     import pandas as pd
 
@@ -67,7 +67,7 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     columns |= _columns(space, history.designs)
     columns |= _result_columns(campaign, history)
     columns["seconds"] = np.concatenate([np.empty(0), *(batch.results.seconds for batch in store.batches)])
-    if isinstance(campaign.simulator, CommandSimulator):
+    if isinstance(campaign.simulator, CommandSimulator) and campaign.simulator.repeatable:
         columns["folder"] = [str(campaign.simulator.folder_of(x)) for x in history.designs.reshape(-1, space.dimension)]
     labels = labels_of(store, history.id)
     return pd.DataFrame(columns | {name: cells for name, cells in labels.items() if name not in columns})

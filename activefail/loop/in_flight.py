@@ -62,7 +62,9 @@ class HandedOut:
             -1, hypercubes.shape[1]
         )
         # A given design of the hypercubes is not among those that are left.
-        covering = campaign.space.contains(given) & ~are_among(given, hypercubes)
+        covering = campaign.space.contains(given)
+        if campaign.settings.is_repeatable:
+            covering &= ~are_among(given, hypercubes)
         left = self._new(campaign, hypercubes)
         left = left[: max(len(left) - int(covering.sum()), min(_LEAST, size) - handed_out, 0)]
         is_needed = not self.history.answered.any() and not len(self.in_flight) and handed_out == sets * size

@@ -25,6 +25,7 @@ from activefail.loop.telling import record
 from activefail.record.asked import Asked
 from activefail.record.batch import CHECK, INITIAL
 from activefail.record.store import Store
+from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.simulators.repeats import IF_DIFFERENT, differences
 from activefail.space import Array
@@ -40,7 +41,7 @@ _REPEATS = ("repeats",)
 """Under which a store keeps what is wrong with a second result of one design; empty if nothing is."""
 
 _SAME = 1e-3
-"""Largest difference of two results' margins, in standard deviations of all, that is no noise: as `NUGGET` says."""
+"""Largest difference of two results' margins that is no noise, over the largest margin so far."""
 
 _LEAST_FOR_RATE = 20
 """Fewest simulations for which the share of numerical failures is checked."""
@@ -233,13 +234,15 @@ class _Loop:
         simulator, store, rows = self.campaign.simulator, self.store, np.flatnonzero(results.outcome >= 0)
         custom = self.campaign.settings.simulator
         is_told = isinstance(custom, str) or custom.repeatable is not None
-        if is_told or not len(rows) or store.recall(_REPEATS) is not None:
+        if is_told or not len(rows) or store.recall(_REPEATS) is not None or self.observer.stop():
             return
-        again = self.executor.run(simulator, designs.designs[rows[:1]])
+        # The recorded run keeps its folder.
+        second = replace(simulator, repeatable=False) if isinstance(simulator, CommandSimulator) else simulator
+        again = self.executor.run(second, designs.designs[rows[:1]])
         if again.outcome[0] == NUMERICAL_FAILURE:
             return  # which shows nothing
-        with np.errstate(invalid="ignore"):
-            tolerance = _SAME * History.of(store.batches).training.margins.std(axis=0)
+        margins = np.nan_to_num(History.of(store.batches).margins, nan=0.0, posinf=0.0, neginf=0.0)
+        tolerance = _SAME * np.abs(margins).max(axis=0)
         text = differences(simulator, results[rows[:1]], again, tolerance)
         if text:
             text = (

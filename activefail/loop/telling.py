@@ -231,7 +231,7 @@ def add(
     with _rows_of(campaign, results) as reasons:
         for row, design in enumerate(bits_of(X)):
             known: History | Results
-            if design in in_flight:
+            if design in in_flight and campaign.settings.is_repeatable:
                 reasons[row] = f"the design is in flight with id {in_flight[design]} (use `tell` to record its result)"
                 continue
             own = design if campaign.settings.is_repeatable else row

@@ -11,6 +11,7 @@ from scipy.special import xlogy
 from scipy.stats import t
 
 from activefail.campaign.random_streams import stream
+from activefail.errors import SimulationError
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.confidence_bounds import upper_bound
@@ -89,6 +90,8 @@ def verify_surface(estimator: Estimator, simulations: int, confidence: float) ->
     results = estimator.results(set_name("surface", estimator.iteration, simulations), "", X)
     assert results is not None  # no stop was requested
     answered = results.outcome != NUMERICAL_FAILURE
+    if answered.sum() < 2:
+        raise SimulationError(f"simulations: two must give an outcome, got {answered.sum()} of {simulations}.")
     probability = estimator.classifier.predicted(X[answered]).beyond(campaign.severity)
     beyond, lost = results.outcome[answered] >= campaign.severity, int((~answered).sum())
     return score(probability, beyond, lost, confidence)
