@@ -45,9 +45,7 @@ _FIRST_NOISE = 0.1
 """Variance of a margin's noise from which it is learned, in units of the margins' own."""
 
 WARPED_ON = 500
-"""Most points for choosing a warping by all of them; of more, `_COARSE` choose it and are the starting point."""
-
-_COARSE = 250
+"""Most points for choosing a warping by all of them; of more, half as many choose it and are the starting point."""
 
 INDUCING = 1000
 """Most inducing points."""
@@ -298,7 +296,7 @@ def fit_margin(
     n = len(margin)
     best = warm
     if best is None or truncated != best.data.truncated or min(n, best.learned_on) <= WARPED_ON:
-        rows = _over_margins(margin, WARPED_ON if n <= WARPED_ON else min(_COARSE, WARPED_ON))
+        rows = _over_margins(margin, WARPED_ON if n <= WARPED_ON else WARPED_ON // 2)
         fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm, repeatable) for name in WARPINGS]
         best = max(fits, key=lambda fitted: fitted.log_likelihood)
     if n > WARPED_ON:

@@ -333,7 +333,7 @@ def run(design):
 TOML = """
 seed = 5
 sampling = { initial = 12, budget = 200, batch = 4, asynchronous = true }
-simulator = { python = "noting:run" }
+simulator = { python = "noting:run", repeatable = true }
 [space]
 x = { low = 0.0, high = 4.0 }
 y = { low = 1.0, high = 3.0 }
