@@ -242,6 +242,8 @@ class Table:
         if not of.choices:
             return self.finite(row, of.name)
         cell = self.cell(row, of.name)
+        if cell is None:
+            raise self.broken(row, of.name, of.rule, cell)
         try:
             return of.number_of(cell)
         except ValueError as rule:

@@ -309,8 +309,9 @@ class Parameter:
 
     @cached_property
     def _shares_below(self) -> Array:
-        """The probability of all choices before each, and of all, (k + 1,)."""
-        return np.concatenate([[0.0], np.cumsum(self.probabilities[:-1]), [1.0]])
+        """The probability of all choices before each, and of all, (k + 1,); exactly 1 after the last possible one."""
+        shares = np.cumsum(self.probabilities)
+        return np.concatenate([[0.0], shares / shares[-1]])
 
     @property
     def _moments(self) -> tuple[float, float]:
@@ -337,6 +338,8 @@ class Parameter:
         """Quantiles of the distribution at probabilities u of any shape."""
         u = np.asarray(u)
         if self.choices:
+            # Below 1, which only choices without probability follow.
+            u = np.minimum(u, np.nextafter(1.0, 0.0))
             return np.searchsorted(self._shares_below[1:-1], u, side="right").astype(np.float64)
         if self._is_rounded:
             return self.rounded(self.continuous.quantile(u))

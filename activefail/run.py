@@ -392,7 +392,8 @@ class Run:
 
         Args:
             X: designs in the variables' units: an (n, d) array or a list of rows in the order of `space`; or a
-                DataFrame, a dictionary of columns, or a list of dictionaries, read by their names.
+                DataFrame, a dictionary of columns, or a list of dictionaries, read by their names. Choices are as the
+                campaign file has them; `space.columns` makes such a table of designs that `space` returned.
 
         Returns:
             One row for each design, in the given order and with the index of a DataFrame: the variables, the

@@ -1,6 +1,7 @@
 """Variables with choices: soil classes, systems, sizes of a catalogue."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from scipy.stats import norm
 
 from activefail import create_run, open_run
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.csv_table import Table
@@ -20,6 +23,7 @@ from activefail.explorer.answers import Answers
 from activefail.features import feature_map
 from activefail.figures.outcome_planes import coordinates
 from activefail.parameter import Parameter
+from activefail.risk.sensitivity.calculation import sensitivity
 from activefail.space import DesignSpace
 
 SOIL = Parameter.of_choices("soil", ("A", "B", "soft clay"), (0.2, 0.5, 0.3))
@@ -35,6 +39,13 @@ def test_choices_have_their_probabilities() -> None:
     assert SOIL.quantile(SOIL.share(SOIL.values)).tolist() == SOIL.from_normal(SOIL.to_normal(SOIL.values)).tolist()
     assert [SOIL.number_of(SOIL.written(x)) for x in SOIL.values] == SOIL.values.tolist()
     assert DesignSpace((SOIL, DEPTH)).design_count == 9
+
+
+def test_a_choice_without_probability_does_not_occur() -> None:
+    for shares in ((0.3333333, 0.6666661, 0.0), (0.9, 0.1, 0.0), (0.0, 0.7, 0.3000001)):
+        soil = replace(SOIL, probabilities=shares)
+        x = {*soil.quantile(np.array([0.0, 1.0 - 1e-8, 1.0])), *soil.from_normal(np.array([-9.0, 5.5, 9.0]))}
+        assert {SOIL.choices[int(one)] for one, share in enumerate(shares) if share} >= {soil.written(one) for one in x}
 
 
 @pytest.mark.parametrize(
@@ -174,6 +185,24 @@ def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
             answers.plane(point, 0, 2, "failure")
 
 
+def test_an_array_of_numbers_and_wrong_shapes_are_no_designs_where_variables_have_choices(folder: Path) -> None:
+    with open_run(folder / "run", code=folder) as run:
+        X = run.space.latin_hypercube(3, np.random.default_rng(0))
+        table = run.space.columns(X)
+        rows = [list(row) for row in zip(*table.values(), strict=True)]
+        for labels in (rows, np.array(rows, dtype=object), np.array(rows)):
+            pd.testing.assert_frame_equal(run.predict(labels), run.predict(table))
+        assert len(run.predict(np.empty((0, 4)))) == 0
+        for given, rule in (
+            (X, r"choices of soil, system, got an array of numbers\. .* `space\.columns\(X\)`"),
+            (list(X), "got an array of numbers"),
+            ([*rows, rows[0][:2]], r"X: must be a table or an \(n, 4\) array .* got shape \(4,\)"),
+            (np.empty((0, 2)), r"got shape \(0, 2\)"),
+        ):
+            with pytest.raises(InputError, match=rule):
+                run.predict(given)
+
+
 def test_a_question_has_some_of_the_choices_with_other_probabilities(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
         asked = {}
@@ -191,6 +220,47 @@ def test_a_question_has_some_of_the_choices_with_other_probabilities(folder: Pat
         (folder / "bad.toml").write_text('[space]\nsoil = { choices = ["A", "D"] }\n')
         with pytest.raises(InputError, match=r"space\.soil\.choices: must be one of A, B, soft clay, got 'D'"):
             run.asked(folder / "bad.toml")
+        (folder / "bad.toml").write_text('[space]\nload = { value = "30" }\n')
+        with pytest.raises(InputError, match=r"space\.load\.value: must be a number, got '30'"):
+            run.asked(folder / "bad.toml")
+
+
+PULSE = DesignSpace((Parameter("T_p", 1.0, 6.0, "s"), Parameter("A_p", 0.1, 1.0, "g"), SOIL))
+HAZARD = {
+    "pulse_period": {"median_s": 3.0, "dispersion": 0.4, "definition": "acceleration"},
+    "pgv": {"median_m_s": 0.6, "dispersion": 0.3},
+    "properties": {"mu_lower": 0.5},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("T_p", "hazard: requires T_p without choices, but it must be one of 1, 2 in the campaign."),
+        ("A_p", "hazard: requires A_p without choices, but it must be one of 1, 2 in the campaign."),
+        ("mu", "properties.mu_lower = 0.5: requires mu without choices, but it must be one of 1, 2 in the campaign."),
+    ],
+)
+def test_a_hazard_gives_choices_no_other_values(name: str, rule: str) -> None:
+    of_choices = Parameter.of_choices(name, (1, 2))
+    space = DesignSpace((*(one for one in PULSE.parameters if one.name != name), of_choices))
+    with pytest.raises(InputError) as refused:
+        hazard_question(hazard_of(HAZARD, Path("h.toml")), space, {})
+    assert str(refused.value) == rule
+
+
+def test_moves_under_a_hazard_hold_the_most_probable_choice() -> None:
+    space = "[space]\nT_p = { low = 1, high = 6 }\nA_p = { low = 0.1, high = 1 }\nx = { low = 0, high = 1 }\n"
+    soil = 'soil = { choices = ["B", "A", "C"], probabilities = [0.4, 0.3, 0.3] }'
+    campaign = Campaign.of(parse_settings(f"simulator = {{ elsewhere = true }}\n{space}{soil}", "f"))
+    hazard = hazard_of({key: HAZARD[key] for key in ("pulse_period", "pgv")}, Path("h.toml"))
+
+    def on_soil(X: np.ndarray) -> np.ndarray:
+        return norm.ppf(np.array([0.4, 0.1, 0.2])[X[:, 3].astype(int)] + 0.1 * X[:, 2])[:, None]
+
+    found = sensitivity(Inquiry.of_hazard(campaign, hazard, {}), on_soil, "failure", 16)
+    assert found.probability == pytest.approx(0.45)
+    assert any("their medians or most probable choices (soil = B)" in note for note in found.notes)
 
 
 def test_tables_have_the_choices_and_a_wrong_one_is_named(folder: Path, tmp_path: Path) -> None:
@@ -221,6 +291,14 @@ def test_choices_are_simulated_elsewhere_by_their_names(tmp_path: Path) -> None:
     assert activefail("ask", str(tmp_path / "run"), "--n", "2", "--csv", str(tmp_path / "a.csv")).code == 0
     table = pd.read_csv(tmp_path / "a.csv")
     assert set(table["soil"]) <= {"A", "B", "soft clay"}
+
+
+def test_an_empty_cell_is_not_the_choice_none() -> None:
+    brace = Parameter.of_choices("brace", ("Steel", "None"))
+    table = Table.of_python({"brace": ["None", None]})
+    assert table.value(0, brace) == 1.0
+    with pytest.raises(InputError, match="row 1, column brace: must be one of Steel, None, got an empty cell"):
+        table.value(1, brace)
 
 
 def _numbers(space: DesignSpace, table: pd.DataFrame) -> np.ndarray:

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from activefail.bearing.pulse import VELOCITY_PERIOD
 from activefail.campaign.hazard_sections import HazardSettings, MagnitudeSection
 from activefail.campaign.pulse_table import read_pulses, velocities
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question, asked_of, check_names, check_pulse
+from activefail.campaign.question import (
+    AMPLITUDE,
+    PERIOD,
+    PGV,
+    Question,
+    asked_of,
+    check_names,
+    check_no_choices,
+    check_pulse,
+)
 from activefail.campaign.settings import checked, read_toml
 from activefail.distributions import moments, quantiles_at
 from activefail.errors import InputError, naming
@@ -273,7 +282,8 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
         fixed: values of variables that are certain.
 
     Raises:
-        InputError: if the campaign has no pulse, `fixed` gives one, or a property bound refers to no variable.
+        InputError: if the campaign has no pulse, `fixed` gives one, or a property bound refers to no variable or to
+            one with choices.
     """
     check_pulse(space, "hazard")
     check_names(fixed, space)
@@ -284,7 +294,8 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
             )
     # Both bounds: probabilities at the other one are shown beside.
     for bound in _BOUNDS:
-        for name in hazard.at_bound(bound).factors:
+        for name, factor in hazard.at_bound(bound).factors.items():
+            check_no_choices(name, space, f"properties.{name}_{bound} = {factor:g}")
             if name not in space.names:
                 has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
                 raise InputError(f"properties.{name}_{bound}: cannot be applied, because the campaign {has}.")

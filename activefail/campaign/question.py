@@ -294,13 +294,16 @@ def _number_of(space: DesignSpace, name: str, value: Any, key: str) -> float:
     """The number of a variable's value in a file or argument.
 
     Raises:
-        InputError: if the variable has choices, and the value is none of them; naming the key.
+        InputError: if the variable has choices and the value is none of them, or has none and the value is a text;
+            naming the key.
     """
     one = next((one for one in space.parameters if one.name == name and one.choices), None)
+    if one is None and isinstance(value, str):
+        raise InputError(f"{key}: must be a number, got {shown(value)}.")
     try:
         return float(value) if one is None else one.number_of(value)
     except ValueError as rule:
-        raise InputError(f"{key}: {rule if one else 'must be a number'}, got {shown(value)}.") from None
+        raise InputError(f"{key}: {rule}, got {shown(value)}.") from None
 
 
 def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
@@ -386,7 +389,7 @@ def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str,
 
 
 def check_pulse(space: DesignSpace, what: str) -> None:
-    """Check that a campaign's variables contain a pulse.
+    """Check that a campaign's variables contain a pulse, whose values are numbers in a range.
 
     Raises:
         InputError: naming `what` needs it.
@@ -397,6 +400,18 @@ def check_pulse(space: DesignSpace, what: str) -> None:
             raise InputError(f"{what}: requires the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
         if known[name].unit not in ("", unit):
             raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {known[name].unit!r}.")
+        check_no_choices(name, space, what)
+
+
+def check_no_choices(name: str, space: DesignSpace, what: str) -> None:
+    """Check that a variable has no choices, because `what` gives it other values.
+
+    Raises:
+        InputError: naming `what`, the variable and its choices.
+    """
+    for one in space.parameters:
+        if one.name == name and one.choices:
+            raise InputError(f"{what}: requires {name} without choices, but it {one.rule} in the campaign.")
 
 
 def has_pulse(space: DesignSpace) -> bool:

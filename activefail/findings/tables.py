@@ -124,29 +124,36 @@ def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassif
 def designs_of(campaign: Campaign, X: Any) -> Array:
     """Designs, (n, d), from an array or a list of rows in the space's order, or from a table with names.
 
-    Choices are as the campaign file has them.
+    Choices are as the campaign file has them. An array of numbers is refused where variables have choices, because a
+    number could be a choice or the number of one.
 
     Args:
         campaign: the campaign.
         X: the array or rows; or a DataFrame, a dictionary of columns, or a list of dictionaries, whose names decide.
 
     Raises:
-        InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
+        InputError: if a variable is missing, a value is neither a finite number nor a choice, or the shape is wrong.
     """
     space = campaign.space
     has_order = isinstance(X, Sequence) and not isinstance(X, str) and bool(X) and all(map(_is_plain, X))
     if not (has_order or isinstance(X, np.ndarray)):
         return Table.of_python(X).designs(space)
-    if any(one.choices for one in space.parameters) and np.ndim(X) == 2 and len(X[0]) == space.dimension:
-        places = [f"X: row {row}" for row in range(len(X))]
-        return Table("", space.names, [list(row) for row in X], places).designs(space)
+    of_choices = [one.name for one in space.parameters if one.choices]
     rule = f"X: must be a table or an (n, {space.dimension}) array of numbers with the columns {', '.join(space.names)}"
     try:
-        designs = np.array(X, dtype=np.float64)
+        designs = np.array(X, dtype=object if of_choices else np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{rule}: {error}.") from None
     if designs.ndim != 2 or designs.shape[1] != space.dimension:
         raise InputError(f"{rule}, got shape {designs.shape}.")
+    if of_choices:
+        if any(isinstance(row, np.ndarray) and row.dtype.kind in "iuf" for row in X):
+            raise InputError(
+                f"X: must be a table or rows with the choices of {', '.join(of_choices)}, got an array of numbers. The "
+                "table of designs that the space returned is `space.columns(X)`."
+            )
+        places = [f"X: row {row}" for row in range(len(designs))]
+        return Table("", space.names, designs.tolist(), places).designs(space)
     if not np.isfinite(designs).all():
         row, column = np.argwhere(~np.isfinite(designs))[0].tolist()
         raise InputError(f"X: row {row}, column {space.names[column]}: must be finite, got {designs[row, column]}.")

@@ -186,16 +186,21 @@ def _of_question(question: Question, outcome: str) -> Varied:
 def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     """The variables of a design, whose probability is that under the pulses of a hazard.
 
-    Variables with values have no indices. They are moved one at a time like the others, which have their medians.
+    Variables with values have no indices. They are moved one at a time like the others, which have their medians, or
+    of choices the most probable one.
     """
     campaign, hazard = asked.campaign, asked.hazard
     assert hazard is not None
     design = tuple(one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE))
     if not design:
         raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
-    base = {one.name: float(one.quantile(0.5)) for one in design} | asked.fixed
+    base = {
+        one.name: float(np.argmax(one.probabilities) if one.choices else one.quantile(0.5)) for one in design
+    } | asked.fixed
     question = hazard_question(hazard, campaign.space, base)
     free = tuple(one for one in design if one.name not in asked.fixed)
+    choices = ", ".join(f"{one.name} = {one.written(base[one.name])}" for one in free if one.choices)
+    held = f"medians or most probable choices ({choices})" if choices else "medians"
     rows = question.space.thinned(PULSES) if isinstance(question.space, WeightedRows) else question.space
     X, weight = integration_points(rows, PULSES)
 
@@ -215,7 +220,7 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     )
     of_moves = (
         f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
-        "other variables have the given values, or else their medians. These probabilities are the classifier's and "
+        f"other variables have the given values, or else their {held}. These probabilities are the classifier's and "
         "have no interval; `activefail probability` estimates a probability with an interval."
     )
     # Independent: who chooses a design may choose any combination.
