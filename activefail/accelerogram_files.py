@@ -29,7 +29,7 @@ from activefail.accelerogram_header import (
 from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError, naming
-from activefail.numerals import number_in
+from activefail.numerals import number_of_program
 from activefail.trust import read_regular
 from activefail.visible import visible
 
@@ -346,7 +346,7 @@ def _numbers(line: str, k: int) -> Iterator[float]:
             numbers = [part]
         for text in numbers:
             try:
-                number = number_in(text)
+                number = number_of_program(text)
             except ValueError:
                 raise InputError(f"line {k}: must be numbers, got {part!r}.") from None
             if not math.isfinite(number):

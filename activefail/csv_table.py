@@ -67,8 +67,13 @@ Check = Callable[[Array], str | None]
 """A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
 
 _FACTOR = r"\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+"
-_SCALED = re.compile(rf"(.*?)(?:\s*([*/])\s*(-?(?:{_FACTOR})))?(?:\s*([+-])\s*({_FACTOR}))?")
-"""A column with a factor, an offset or both, such as "Load [kN]*-1000" and "T [°C]+273.15"."""
+_SCALED = re.compile(
+    rf"(.*?)(?:\s*([*/])\s*(-?(?:{_FACTOR})))?(?:(?(2)\s*|(?:\s+(?=[+-]\s)|(?<=[\])}}])\s*))([+-])\s*({_FACTOR}))?"
+)
+"""A column with a factor, an offset or both, such as "Load [kN]*-1000", "T [°C]+273.15" and "T + 273.15".
+
+Right after a name without brackets a sign belongs to the name: T-1.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +158,7 @@ class Table:
 
         Args:
             names: for a name, the column that has it here, perhaps with a factor and an offset: "Load [kN]*1000",
-                "time [ms]/1000", "T [F]/1.8-17.78".
+                "time [ms]/1000", "T [F]/1.8-17.78", "T + 273.15" (with blanks after a name without brackets).
             words: for a word of the column `of`, the one in its cells here.
             of: a column of `names` or of this table.
 

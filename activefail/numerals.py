@@ -2,20 +2,30 @@
 
 import re
 
-_WITHOUT_E = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))([+-]\d{3})")
-"""A number as Fortran writes it if its exponent has three digits."""
+_WITHOUT_E = re.compile(r"\s*([+-]?(?:\d+\.\d*|\.\d+))([+-]\d{3})\s*")
+"""A number as Fortran writes it if its exponent has three digits; in a text of people it may be a range, 0.5-100."""
 
 
 def number_in(text: str) -> float:
-    """The number that a text is, also as Fortran writes it, NaN and infinity included.
+    """The number that a text is, also with a D before its exponent, NaN and infinity included.
 
     Raises:
         ValueError: if it is none, such as 1_000, which only Python reads as a number.
 
-    >>> [number_in(text) for text in ("0.5", "1.0D-3", "0.123-105")]
-    [0.5, 0.001, 1.23e-106]
+    >>> [number_in(text) for text in ("0.5", "1.0D-3")]
+    [0.5, 0.001]
     """
-    plain = text.strip().lower()
-    if match := _WITHOUT_E.fullmatch(plain):
-        plain = f"{match[1]}e{match[2]}"
-    return float(plain.replace("d", "e").replace("_", "?"))
+    return float(text.lower().replace("d", "e").replace("_", "?"))
+
+
+def number_of_program(text: str) -> float:
+    """The number that a program wrote, as `number_in`, also as Fortran writes it without a letter.
+
+    Raises:
+        ValueError: if it is none.
+
+    >>> [number_of_program(text) for text in ("1.0D-3", "0.123-105")]
+    [0.001, 1.23e-106]
+    """
+    match = _WITHOUT_E.fullmatch(text)
+    return number_in(f"{match[1]}e{match[2]}" if match else text)

@@ -44,6 +44,7 @@ def rows(of: DesignTable) -> tuple[list[list[str]], list[list[float]]]:
 # What is wrong, and what the message says of it after the file's name.
 BAD = {
     "text": ("a,b\n1,2\n1,two\n", "row 2 (line 3), column b: must be a number, got 'two'"),
+    "a range": ("a,b\n1,0.5-100\n", "row 1 (line 2), column b: must be a number, got '0.5-100'"),
     "empty cell": ("a,b\n,2\n", "row 1 (line 2), column a: must be a finite number, got an empty cell"),
     "nan": ("a,b\n1,2\nNaN,2\n", "row 2 (line 3), column a: must be a finite number, got 'NaN'"),
     "nul": ("a,b\n1,\x00\n", "row 1 (line 2), column b: must be a number, got '\\x00'"),

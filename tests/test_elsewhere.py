@@ -435,6 +435,13 @@ def test_columns_are_scaled_and_shifted_and_those_that_export_has_are_named(lab:
                 run.add(frame, names=names)
         assert run.simulations["load"].tolist() == pytest.approx([2.0, 3.0])
         assert run.simulations["g"].tolist() == [0.5, -2.5]
+        # A sign right after a name may belong to it.
+        plain = pd.DataFrame({"T": [0.5, 1.5], "T_1": 2.5, "strength": 8.0, "g": 1.0})
+        for wrong in ("T-1", "T -1", "T+1"):
+            with pytest.raises(InputError, match=re.escape(f"column {wrong!r}: missing; the columns are T,T_1,")):
+                run.add(plain, names={"load": wrong})
+        assert run.add(plain, names={"load": "T + 1"}) == 2
+        assert run.simulations["load"].tolist()[-2:] == [1.5, 2.5]
         for wrong in ("strength*0", "strength/0", "strength*1e999"):
             with pytest.raises(InputError, match="the factor must not be 0"):
                 run.add(pd.DataFrame(rows), names={"load": wrong, "g": "depth"})

@@ -98,9 +98,10 @@ def test_a_prediction_through_pipes_is_the_table_in_files_and_all_else_goes_to_s
     assert piped("", *predict(home, "--csv", home / "designs.csv", "--out", "-")).out == expected
 
 
-def test_an_export_to_standard_output_is_the_exported_file(home: Path, tmp_path: Path, piped) -> None:
+@pytest.mark.parametrize("output", ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
+def test_an_export_to_standard_output_is_the_exported_file(home: Path, tmp_path: Path, piped, output: str) -> None:
     assert activefail("export", home / "run", "--code", home, "--csv", tmp_path / "all.csv").code == 0
-    result = piped("", "export", home / "run", "--code", home, "--csv", "-")
+    result = piped("", "export", home / "run", "--code", home, "--csv", output)
     assert (result.code, result.out) == (0, (tmp_path / "all.csv").read_text())
     assert result.err.endswith("24 simulations written to standard output\n")
 

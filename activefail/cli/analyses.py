@@ -40,7 +40,7 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
         csv, out = words.pop("csv", None), words.pop("out", None)
         check_out(out)
         check_table("--csv", csv)
-        if as_json and csv == STANDARD:
+        if as_json and csv in STANDARD:
             raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
         values = {one.name: _value(one.name, words, of, out) for one, of in options(request)}
         run_or_none = nullcontext() if folder is None else opened_run(folder, write=request.writes, code=code)
@@ -60,7 +60,7 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
             show_unseen(summary)
         if as_json:
             print_json(findings.as_json())
-        elif csv != STANDARD:
+        elif csv not in STANDARD:
             print("\n".join(map(visible, findings.lines)))
             if csv is not None:
                 print(f"table      {name_of(csv)}")

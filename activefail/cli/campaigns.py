@@ -215,8 +215,10 @@ def export(
                 number = opened.export_table(target)
             print(f"{number} simulations written to {name_of(csv)}")
     elif parquet is not None and csv is None:
-        if parquet == STANDARD:
-            raise InputError("--parquet: must be a file, got '-'; only a CSV table can go to standard output.")
+        if parquet in STANDARD:
+            raise InputError(
+                f"--parquet: must be a file, got {str(parquet)!r}; only a CSV table can go to standard output."
+            )
         check_output("--parquet", parquet)
         with opened_run(folder, code=code) as opened:
             number = opened.export_parquet(parquet)

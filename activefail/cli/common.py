@@ -47,8 +47,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 _BEGAN = time.monotonic()
 """The start of the program, nearly: this module is imported first."""
 
-STANDARD = Path("-")
-"""Standard input or output in place of a file."""
+STANDARD = tuple(map(Path, ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")))
+"""Standard input or output in place of a file. (Descriptor 1 is that of the error stream, see `program`.)"""
 
 
 def table_input(path: Path) -> Path | IO[bytes]:
@@ -57,7 +57,7 @@ def table_input(path: Path) -> Path | IO[bytes]:
     Raises:
         InputError: if standard input is closed.
     """
-    if path != STANDARD:
+    if path not in STANDARD:
         return path
     if sys.stdin is None:
         raise InputError("standard input: cannot be read: it is closed.")
@@ -73,7 +73,7 @@ def table_output(option: str, path: Path) -> "Iterator[Target]":
     Raises:
         InputError: if the file is reserved by a run folder, or standard output is closed.
     """
-    if path != STANDARD:
+    if path not in STANDARD:
         check_output(option, path)
         yield path
         return
@@ -101,7 +101,7 @@ def check_table(option: str, path: Path | None) -> None:
     Raises:
         InputError: if it is reserved by a run folder, or a folder.
     """
-    if path is None or path == STANDARD:
+    if path is None or path in STANDARD:
         return
     check_output(option, path)
     if path.is_dir():
@@ -110,7 +110,7 @@ def check_table(option: str, path: Path | None) -> None:
 
 def name_of(path: Path) -> str:
     """A table in messages."""
-    return "standard output" if path == STANDARD else visible(str(path))
+    return "standard output" if path in STANDARD else visible(str(path))
 
 
 @contextmanager

@@ -34,8 +34,8 @@ Names = Annotated[
     list[str] | None,
     typer.Option(
         "--map",
-        help='What the table has in place of a name, such as "load=Load [N]/1000" or "failure=collapsed", or a TOML '
-        "file with such lines; repeatable.",
+        help='What the table has in place of a name, such as "load=Load [N]/1000", "T=T_C + 273.15" (with blanks) or '
+        '"failure=collapsed", or a TOML file with such lines; repeatable.',
         show_default=False,
     ),
 ]
@@ -87,14 +87,14 @@ def ask(
         opened_run(folder, write=not in_flight, code=code, simulates=False) as opened,
     ):
         space = opened.space
-        if csv != STANDARD:
+        if csv not in STANDARD:
             _check_replaceable(csv, opened)
         table: DataFrame | None = None
         try:
             with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
                 # The table first: if it cannot be written, no design is handed out.
                 table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
-                if not len(table) and csv != STANDARD:
+                if not len(table) and csv not in STANDARD:
                     # An earlier table under this name may be the one that somebody works on.
                     raise _NothingError
                 write([[int(cells[0]), *map(exact, cells[1:])] for cells in table.itertuples(index=False)])
@@ -111,7 +111,7 @@ def ask(
         if len(table):
             print(f"{_numbers(table)} written to {name_of(csv)}")
         else:
-            print(f"no designs{'' if csv == STANDARD else ', so no table was written'}{_WAITING if waiting else ''}")
+            print(f"no designs{'' if csv in STANDARD else ', so no table was written'}{_WAITING if waiting else ''}")
 
 
 def _check_replaceable(path: Path, run: "Run") -> None:

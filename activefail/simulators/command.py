@@ -20,7 +20,7 @@ import numpy as np
 
 from activefail.errors import InputError, reason_of, signal_name
 from activefail.files import end_of, make_folder
-from activefail.numerals import number_in
+from activefail.numerals import number_of_program
 from activefail.parameter import exact
 from activefail.simulators.code_folder import files_of, sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
@@ -309,7 +309,7 @@ def _matched(pattern: str, path: Path) -> float:
         around = text[max(0, found.start(1) - 10) : found.end(1) + 10]
         raise UnusableAnswerError(f"simulator.pattern: must match whole numbers, got {found[1]!r} of {around!r}")
     try:
-        return number_in(found[1] or "")
+        return number_of_program(found[1] or "")
     except ValueError:
         raise UnusableAnswerError(f"simulator.pattern: must match a number, got {found[1]!r} in {path.name}") from None
 

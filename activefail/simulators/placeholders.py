@@ -130,9 +130,10 @@ def _is_shell_script(before: list[str]) -> bool:
 
 
 def _by_environment(script: str, references: Mapping[str, str]) -> str:
-    """A script for a shell with references to the environment in place of paths and texts, without comments.
+    """A script for a shell with references to the environment in place of paths and texts.
 
-    A shell expands a reference in double quotes to one word, whatever it contains, and never runs it.
+    A shell expands a reference in double quotes to one word, whatever it contains, and never runs it. In a comment it
+    stays, and in a line of a file within the script that begins like a comment it is expanded.
 
     Args:
         script: the script.
@@ -143,8 +144,9 @@ def _by_environment(script: str, references: Mapping[str, str]) -> str:
         text, quote = piece[0], piece[0][0]
         for name, variable in references.items():
             reference = f"${{{{{variable}:?}}}}"
-            text = text.replace(f"{{{name}}}", {'"': reference, "'": f"'\"{reference}\"'"}.get(quote, f'"{reference}"'))
-        return "" if quote == "#" else text
+            by_quote = {'"': reference, "#": reference, "'": f"'\"{reference}\"'"}
+            text = text.replace(f"{{{name}}}", by_quote.get(quote, f'"{reference}"'))
+        return text
 
     return _PIECE.sub(filled, script)
 

@@ -6,6 +6,7 @@ import math
 import os
 import pickle
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -605,6 +606,16 @@ def test_no_path_runs_as_code_and_scripts_work_in_any_folder(tmp_path: Path, scr
         is_safe = bool(answer(simulator, X[1:2]).outcome[0] == 0)
     assert is_safe is (works or name == "plain")
     assert not list(tmp_path.rglob("ran"))
+
+
+def test_a_line_of_a_file_in_a_script_stays_though_it_begins_like_a_comment(tmp_path: Path) -> None:
+    here = tmp_path / "it's mine"
+    here.mkdir()
+    script = "cat > model <<END\n#define DRIFT {drift}\n# read from {here}; don't\nEND\n# {out}\ncat model"
+    simulator = made(here, templates=(), command=f"sh -c {shlex.quote(script)}", pattern=r"DRIFT (\S+)")
+    results = answer(simulator, X[:1])
+    assert results.margins.tolist() == [[X[0, 0]]], results.faults
+    assert f"\n# read from {here}; don" in (simulator.folder_of(X[0]) / "model").read_text()
 
 
 def test_a_path_that_other_code_than_a_shell_s_might_run_is_refused(tmp_path: Path) -> None:
