@@ -204,7 +204,7 @@ def plot_variable_plane(
 @styled()
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
     """Probabilities of all outcomes except the least severe, and the uncertainty, at values of a third feature."""
-    campaign, parameters = findings.campaign, findings.campaign.space.parameters
+    campaign = findings.campaign
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
     whole = c.planes is not PLANES
@@ -246,7 +246,8 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                 axes.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
             if row == 0 and plane.third >= 0:
                 width = c.widths(plane, third)
-                value = f"{third:.3g} ± {width:.2g}" if width else plain(str(parameters[plane.third].written(third)))
+                exact = "" if width else str(campaign.space.parameters[plane.third].written(third))
+                value = f"{third:.3g} ± {width:.2g}" if width else plain(exact)
                 axes.set_title(f"{third_symbol}{between}= {value}")
             if column == len(values) - 1:
                 colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)

@@ -112,6 +112,8 @@ class DesignTask:
 
     def allows(self, values: Mapping[str, float]) -> bool:
         """Whether values of the free variables meet the constraints that involve nothing uncertain."""
+        if not self.constraints:
+            return True
         known = self.asked.campaign.space.quantities({**self.question.fixed, **values})
         return all(bool(one.holds(known)) for one in self.constraints if one.names <= known.keys())
 
