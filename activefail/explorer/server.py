@@ -118,6 +118,7 @@ class ExplorerServer(ThreadingHTTPServer):
             "/design": page("design", design.about()),
         }
         self.verifications = Verifications()
+        self.room = threading.Semaphore(MOST_CONNECTIONS)
         self.questions = self._questions(answers, design)
         bound = host.strip("[]")
         if ":" in bound:
@@ -154,7 +155,14 @@ class ExplorerServer(ThreadingHTTPServer):
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Whether there is room for a connection; it is closed if not."""
-        return threading.active_count() <= MOST_CONNECTIONS
+        return self.room.acquire(blocking=False)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection until it is closed."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self.room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore disconnected visitors; print other errors."""
