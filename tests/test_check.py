@@ -78,14 +78,6 @@ def test_simulations_done_elsewhere_and_the_bearing_are_described(tmp_path: Path
     refused(activefail("check", tmp_path / "none.toml"), "none.toml: cannot be read")
 
 
-def test_nobody_is_asked_whether_the_bearing_is_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("activefail.simulators.repeats.differences", lambda *_: "g 1, then 2")
-    (tmp_path / "bearing.toml").write_text("seed = 1\n")
-    done = activefail("check", tmp_path / "bearing.toml")
-    said = "The same design has two results: g 1, then 2. This is a fault of activefail or of the machine.\n"
-    assert (done.code, done.err.endswith(said)) == (1, True), done
-
-
 def test_a_module_that_writes_to_the_descriptor_of_standard_output_spoils_no_json(tmp_path: Path) -> None:
     noise = "import ctypes, os\nos.write(1, b'noise')\nctypes.CDLL(None).puts(b'more noise')\n"
     (tmp_path / "model.py").write_text(f"{noise}\ndef run(design):\n    return design['x']\n")

@@ -181,8 +181,6 @@ def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
         assert {*about["plane"]} == {"load", "storeys"}
         assert {(plane.x, plane.y) for plane in planes} <= {(0, 1), (1, 0)}
         assert "svg" in answers.plane(point, 0, 1, "failure")
-        with pytest.raises(InputError, match="soil has choices without order, so it has no axis"):
-            answers.plane(point, 0, 2, "failure")
 
 
 def test_an_array_of_numbers_and_wrong_shapes_are_no_designs_where_variables_have_choices(folder: Path) -> None:

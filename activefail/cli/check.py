@@ -116,7 +116,6 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     if not (text := differences(simulator, results[0], results[1])):
         yield "agrees", "a second simulation of the design has the same result"
     elif isinstance(custom, str) or custom.repeatable is None:
-        advice = "This is a fault of activefail or of the machine." if isinstance(custom, str) else IF_DIFFERENT
-        raise SimulationError(f"The same design has two results: {text}. {advice}")
+        raise SimulationError(f"The same design has two results: {text}. {IF_DIFFERENT}")
     else:
         yield "differs", f"{text}; the file states simulator.repeatable"

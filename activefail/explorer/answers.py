@@ -179,9 +179,8 @@ class Answers:
             shown: one of `shown`.
 
         Raises:
-            InputError: if both variables are the same, or one has choices.
+            InputError: if both variables are the same.
         """
-        self._check_ordered(x, y)
         if x == y:
             raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
         low, high = self.space.low, self.space.high
@@ -202,12 +201,7 @@ class Answers:
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
-        """A figure of the probability of lying beyond the target boundary against a variable.
-
-        Raises:
-            InputError: if the variable has choices.
-        """
-        self._check_ordered(along)
+        """A figure of the probability of lying beyond the target boundary against a variable."""
         values = np.linspace(self.space.low[along], self.space.high[along], _CURVE)
         rows = np.tile(np.array(point), (len(values), 1))
         rows[:, along] = self.space.parameters[along].rounded(values)
@@ -275,11 +269,6 @@ class Answers:
         svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
         first, last = figure.axes[0], figure.axes[-1]
         return {"svg": str(svg), "axes": _place(first, last), "times": list(last.get_xlim())}
-
-    def _check_ordered(self, *columns: int) -> None:
-        for column in columns:
-            if self.space.parameters[column].choices:
-                raise InputError(f"{self.space.names[column]} has choices without order, so it has no axis.")
 
     def _simulated(self, point: Sequence[float]) -> tuple[DfpSimulator, Response]:
         if not isinstance(self.campaign.simulator, DfpSimulator):

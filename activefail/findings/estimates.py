@@ -1,7 +1,7 @@
 """What a campaign knows of the classifier's error and of an outcome's probability, with what is assumed."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
@@ -352,22 +352,34 @@ class ProbabilityFindings:
 
 
 @dataclass(frozen=True)
-class ErrorFindings:
-    """The share of the design space that the classifier gets wrong.
+class _Verified:
+    """What fresh simulations say of a classifier.
 
     Attributes:
-        estimate: of the error, with its interval.
+        estimate: what they estimate.
         boundary: outcome of the target boundary.
         learned: simulations of the campaign, without fresh ones.
         iteration: of the classifier.
     """
 
-    estimate: ErrorEstimate
+    estimate: Any
     boundary: str
     learned: int
     iteration: int
 
     exit_code = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
+        return {"boundary": self.boundary, **self.estimate.as_json(), **of_campaign}
+
+
+@dataclass(frozen=True)
+class ErrorFindings(_Verified):
+    """The share of the design space that the classifier gets wrong, with its interval."""
+
+    estimate: ErrorEstimate
 
     @property
     def lines(self) -> list[str]:
@@ -385,29 +397,12 @@ class ErrorFindings:
         ]
         return titled(rows)
 
-    def as_json(self) -> dict[str, Any]:
-        """The findings as JSON values."""
-        of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
-        return {"boundary": self.boundary, **self.estimate.as_json(), **of_campaign}
-
 
 @dataclass(frozen=True)
-class SurfaceFindings:
-    """How well the probabilities hold of a classifier whose simulator does not repeat.
-
-    Attributes:
-        estimate: their log score and calibration.
-        boundary: outcome of the target boundary.
-        learned: simulations of the campaign, without fresh ones.
-        iteration: of the classifier.
-    """
+class SurfaceFindings(_Verified):
+    """How well the probabilities hold of a classifier whose simulator does not repeat."""
 
     estimate: SurfaceScore
-    boundary: str
-    learned: int
-    iteration: int
-
-    exit_code = 0
 
     @property
     def lines(self) -> list[str]:
@@ -434,8 +429,3 @@ class SurfaceFindings:
             ("", f"intervals with {100 * one.confidence:g} % confidence each"),
         ]
         return titled(rows)
-
-    def as_json(self) -> dict[str, Any]:
-        """The findings as JSON values."""
-        of_campaign = {"campaign_simulations": self.learned, "iteration": self.iteration}
-        return {"boundary": self.boundary, **asdict(self.estimate), **of_campaign}

@@ -94,7 +94,7 @@ class SavedLatent:
         prior: of the latent, or of the warped margin.
         support: (s, m) scaled features.
         readout, trend: the matrices of predictions.
-        jitter: added to the variance of a point, and its least value.
+        added: to the variance of a point, and its least value: the jitter, or the noise of a margin.
         margin_data: that boundaries of one margin share; None if it is learned from outcomes.
         threshold: the level of the margin in its warped units.
         noise: standard deviation of a margin's noise in these units; 0 if the simulator repeats.
@@ -104,7 +104,7 @@ class SavedLatent:
     support: Array
     readout: Readout
     trend: Trend | None = None
-    jitter: float = JITTER
+    added: float = JITTER
     margin_data: MarginData | None = None
     threshold: float = 0.0
     noise: float = 0.0
@@ -117,10 +117,10 @@ class SavedLatent:
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
         shrunk = k @ self.readout.root.T
-        variance = self.prior.variance + self.jitter - np.einsum("ij,ij->i", shrunk, shrunk)
+        variance = self.prior.variance + self.added - np.einsum("ij,ij->i", shrunk, shrunk)
         if self.trend is not None:
             variance += (1.0 - k @ self.trend.ones) ** 2 / self.trend.total
-        return self.prior.mean + k @ self.readout.weights, np.sqrt(np.maximum(variance, self.jitter))
+        return self.prior.mean + k @ self.readout.weights, np.sqrt(np.maximum(variance, self.added))
 
 
 @dataclass(frozen=True)

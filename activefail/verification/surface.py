@@ -3,7 +3,8 @@
 Fresh simulations of random designs judge P(at least as severe | design). No design is wrong: its outcome is random.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,10 @@ class SurfaceScore:
     simulations: int
     numerical_failures: int
     calibration: tuple[CalibrationClass, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The score as JSON values; `docs/reference/json.md` describes the keys."""
+        return asdict(self)
 
 
 def score(probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: float) -> SurfaceScore:
