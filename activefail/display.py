@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from activefail.interrupts import stop_on_signals
 from activefail.screen import terminal
-from activefail.shares import feasible_share, lognormal_interval, percent
+from activefail.shares import alike, feasible_share, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.visible import visible
 
@@ -254,6 +254,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
 def probability_text(looks: "Looks", unseen: bool) -> str:
     """A probability under the classifier, with the interval of its posterior once every outcome was seen."""
     if unseen:
-        return f"probability {looks.probability:.2g} under the classifier, without an interval"
-    low, high = lognormal_interval(looks.probability, looks.sd, REACH)
-    return f"probability {looks.probability:.3g} under the classifier, 95 % interval {low:.2g} to {high:.2g}"
+        return f"probability {alike(looks.probability)[0]} under the classifier, without an interval"
+    ends = lognormal_interval(looks.probability, looks.sd, REACH)
+    probability, low, high = alike(looks.probability, *ends)
+    return f"probability {probability} under the classifier, 95 % interval {low} to {high}"

@@ -24,6 +24,7 @@ def create_run(
     *,
     code: AnyPath | None = None,
     remember: bool = True,
+    exist_ok: bool = False,
 ) -> Run:
     """Create a run folder for a campaign, open for writing.
 
@@ -34,13 +35,21 @@ def create_run(
         code: folder of the user's code, which is executed; the campaign file's folder if None.
         remember: whether later commands and `open_run` may run the same code for this folder without being told its
             folder (see `activefail.campaign.known_code`).
+        exist_ok: open the folder if it already holds this very campaign.
 
     Raises:
-        InputError: if the settings are invalid, or the folder is in use.
+        InputError: if the settings are invalid, or the folder is in use, with `exist_ok` by another campaign.
         BusyError, StoreError: if the folder cannot be written.
     """
-    folder = path_of("folder", folder)
-    campaign = campaign_for(folder, campaign, code=None if code is None else path_of("code", code))
+    folder, code = path_of("folder", folder), None if code is None else path_of("code", code)
+    if exist_ok and (folder / SETTINGS).exists():
+        wanted = _described(folder, campaign, code=code)
+        run = open_run(folder, write=True, code=code, remember=remember)
+        if other := [key for key, value in wanted.settings if getattr(run.settings, key) != value]:
+            run.close()
+            raise InputError(f"{folder}: holds another campaign: {', '.join(other)} differ. Choose another folder.")
+        return run
+    campaign = campaign_for(folder, campaign, code=code)
     store = create_folder(folder, campaign)
     if remember:
         remember_code(folder, campaign)
@@ -65,11 +74,7 @@ def campaign_for(
         InputError: if the settings are invalid, the folder already holds a campaign, or custom code of the classifier
             or of the criterion fails (see `loop.proposing.try_custom_code`).
     """
-    if isinstance(campaign, Mapping):
-        campaign = Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code, folder)
-    elif not isinstance(campaign, Campaign):
-        file = campaign_file(path_of("campaign", campaign))
-        campaign = read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
+    campaign = _described(folder, campaign, seed, budget, code)
     if (folder / SETTINGS).exists():
         how = how_to_continue(folder, campaign)
         raise InputError(f"{folder}: already holds a campaign; {how}. In Python, `open_run` opens it.")
@@ -78,6 +83,21 @@ def campaign_for(
 
         try_custom_code(campaign)
     return campaign
+
+
+def _described(
+    folder: Path,
+    campaign: Campaign | AnyPath | Mapping[str, Any],
+    seed: int | None = None,
+    budget: int | None = None,
+    code: Path | None = None,
+) -> Campaign:
+    if isinstance(campaign, Mapping):
+        return Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code, folder)
+    if isinstance(campaign, Campaign):
+        return campaign
+    file = campaign_file(path_of("campaign", campaign))
+    return read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
 
 
 def open_run(

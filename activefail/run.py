@@ -411,6 +411,35 @@ class Run:
             # The table's own index: pandas joins columns by it.
             return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
 
+    def plot_boundary(self, x: str, y: str, at: Mapping[str, Any] | None = None, axes: Any = None) -> Any:
+        """Draw the classifier's probability of the target outcome or worse over two variables, and the simulations.
+
+        Args:
+            x, y: names of the variables, which must be numbers.
+            at: values of the other variables; those that it lacks are in the middle of their ranges, or the most
+                probable choice. Simulations are shown whatever their other values.
+            axes: matplotlib axes to draw on; new ones of pyplot if None.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: if a name or value is wrong, or there is no simulation to learn from.
+        """
+        from activefail.figures.outcome_planes import draw_boundary, middle_of
+        from activefail.findings.tables import designs_of
+
+        space = self.space
+        for name in (x, y):
+            if name not in space.names or space.parameters[space.names.index(name)].choices:
+                numbers = [one.name for one in space.parameters if not one.choices]
+                raise InputError(f"plot_boundary: x and y must be two of {', '.join(numbers)}, got {name!r}.")
+        if unknown := set(at or {}) - set(space.names):
+            raise InputError(f"at: must name variables, one of {', '.join(space.names)}, got {', '.join(unknown)}.")
+        values = {name: column[0] for name, column in space.columns(middle_of(space)[None]).items()} | dict(at or {})
+        design = designs_of(self.campaign, [values])[0]
+        return draw_boundary(self.findings, space.names.index(x), space.names.index(y), design, axes)
+
     def model(self, outcome: str | None = None) -> Any:
         """The latent of a boundary as a BoTorch model.
 

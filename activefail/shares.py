@@ -24,6 +24,22 @@ def percent(share: float, digits: int = 1) -> str:
     return "< 0.000001 %" if share < 0.5 else "> 99.999999 %"
 
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def alike(value: float, *others: float) -> list[str]:
+    """Probabilities with as many digits after the point as three digits of the first, or of the largest if it is 0.
+
+    Below 0.001 all have its power of ten: ["1.22·10⁻⁴", "1.19·10⁻⁴", "1.24·10⁻⁴"].
+    """
+    of = value or max(others, default=0.0)
+    rest = min(of, 1.0 - of)
+    exponent = math.floor(math.log10(rest)) if rest > 0.0 else -2
+    power = f"·10{str(exponent).translate(_RAISED)}" if rest == of and exponent < -3 else ""
+    scale, places = (10.0**-exponent, 2) if power else (1.0, min(2 - exponent, 8))
+    return [f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
+
+
 def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[float, float]:
     """Central 95 % interval of a probability with a mean and a standard deviation, as if lognormal; at most 1.
 

@@ -20,6 +20,7 @@ from activefail.findings.estimates import rounded_up, upper_bound
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
+from activefail.shares import alike
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}
@@ -157,6 +158,14 @@ def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tm
     assert "None of the campaign's 16 simulations ended in failure" in result.err
 
 
+def test_a_probability_and_its_interval_have_equal_digits() -> None:
+    assert alike(1.2194e-4, 1.19e-4, 12.4e-4) == ["1.22·10⁻⁴", "1.19·10⁻⁴", "12.40·10⁻⁴"]
+    assert alike(0.0312, 0.03, 0.5) == ["0.0312", "0.0300", "0.5000"]
+    assert alike(0.99971, 0.9) == ["0.999710", "0.900000"]
+    assert alike(0.0, 0.0, 2.5e-7) == ["0", "0", "2.50·10⁻⁷"]
+    assert alike(1.0, 0.9, 1.0) == ["1.0000", "0.9000", "1.0000"]
+
+
 def test_the_bound_is_that_of_clopper_and_pearson_and_never_rounded_down() -> None:
     for hits, draws in ((0, 12), (1, 12), (6, 12), (2, 60)):
         assert upper_bound(hits, draws, 0.9) == pytest.approx(beta.ppf(0.9, hits + 1, draws - hits))
@@ -199,7 +208,8 @@ def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_
     assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
     numbers = read_status(tmp_path / "run").estimates["failure"]
     second = activefail("status", tmp_path / "run").out.splitlines()[1]
-    assert second.startswith(f"estimate   probability of failure {numbers['probability']:.3g}, 90 % interval ")
+    probability = alike(numbers["probability"])[0]
+    assert second.startswith(f"estimate   probability of failure {probability}, 90 % interval ")
     assert "from 20 fresh simulations; recall at least " in second
     assert "contradict" not in second
     remembered(tmp_path / "run", {**numbers, "contradictions_where_sure": 2})
@@ -230,9 +240,8 @@ def test_the_report_leads_with_the_probability_and_draws_the_failure_domain(ende
     assert activefail("report", tmp_path / "run").code == 0
     page = (tmp_path / "run" / "report.html").read_text()
     lead = page[page.index('aria-label="Summary"') : page.index('<section id="run"')]
-    assert (
-        f"<dd>{numbers['probability']:.3g} ({numbers['low']:.3g} to {numbers['high']:.3g} with 90 % confidence" in lead
-    )
+    probability, low, high = alike(numbers["probability"], numbers["low"], numbers["high"])
+    assert f"<b>{probability}</b> ({low} to {high} with 90 % confidence" in lead
     section = page[page.index('<section id="probability"') : page.index('<section id="learning"')]
     assert section.count("<svg") == 2
     index = re.search(r"reliability index β = ([\d.]+), probability ([\d.]+)", section)

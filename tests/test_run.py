@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commandline import activefail, record
+from matplotlib.figure import Figure
 
 import activefail as af
 from activefail.errors import BusyError, InputError
@@ -130,3 +131,37 @@ def test_to_import_the_package_loads_none_of_what_is_heavy() -> None:
     heavy = ["torch", "scipy", "numba", "h5py", "matplotlib", "pydantic"]
     program = f"import sys, activefail; activefail.__all__; print([name for name in {heavy} if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_a_script_that_runs_again_continues_its_campaign_and_no_other(tmp_path: Path) -> None:
+    settings = {"simulator": {"elsewhere": True, "margins": ["g"]}, "space": {"x": {"low": 0, "high": 1}}}
+    for asked in (6, 4):
+        sampling = {"initial": 6, "budget": 10}
+        with af.create_run(tmp_path / "run", settings | {"sampling": sampling}, exist_ok=True) as run:
+            designs = run.ask(asked)
+            run.tell(designs.assign(g=designs["x"] - 0.5))
+    with af.open_run(tmp_path / "run") as run:
+        assert len(run.simulations) == 10
+    with pytest.raises(InputError, match="holds another campaign: sampling differ"):
+        af.create_run(tmp_path / "run", settings | {"sampling": {"initial": 6, "budget": 12}}, exist_ok=True)
+    with pytest.raises(InputError, match="already holds a campaign"):
+        af.create_run(tmp_path / "run", settings | {"sampling": sampling})
+
+
+def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
+    space = {"x": {"low": 0, "high": 1}, "soil": {"choices": ["A", "B"]}, "y": {"low": 0, "high": 2}}
+    settings = {"simulator": {"elsewhere": True, "margins": ["g"]}, "space": space}
+    with af.create_run(tmp_path / "run", settings | {"sampling": {"initial": 20, "budget": 20}}) as run:
+        designs = run.ask(20)
+        run.tell(designs.assign(g=designs["x"] + designs["y"] - 1.5 + 0.2 * (designs["soil"] == "B")))
+        axes = Figure().add_subplot()
+        assert run.plot_boundary("x", "y", at={"soil": "B"}, axes=axes) is axes
+        assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (0.0, 2.0))
+        lines = [path for drawn in axes.collections if len(drawn.get_paths()) == 5 for path in drawn.get_paths()[2:3]]
+        points = lines[0].vertices
+        p = run.predict({"x": points[:, 0], "y": points[:, 1], "soil": ["B"] * len(points)})["p_failure"]
+        assert abs(p - 0.5).median() < 0.1
+        assert sum(len(drawn.get_offsets()) for drawn in axes.collections[-2:]) == 20
+        for wrong in ({"x": "x", "y": "soil"}, {"x": "x", "y": "y", "at": {"z": 1}}):
+            with pytest.raises(InputError, match="must"):
+                run.plot_boundary(**wrong)

@@ -8,6 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -85,7 +86,8 @@ def _columns(labels: Sequence[str], width: float) -> int:
 
 
 PROBABILITY_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
-_PROBABILITY, _UNCERTAINTY = ("cividis", 0.6), ("Purples", 0.9)
+_PROBABILITY = LinearSegmentedColormap.from_list("probability", [BLUE, "white", VERMILION]), 0.45
+_UNCERTAINTY = "Purples", 0.9
 """Colour map and opacity; pale enough for marks on probabilities, strong enough to show a small uncertainty."""
 
 NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
@@ -161,7 +163,7 @@ def scatter_outcomes(
             c=outcome_colour(outcomes, index),
             marker=outcome_marker(outcomes, index),
             edgecolors="white",
-            linewidths=0.3,
+            linewidths=0.6,
             zorder=3,
             rasterized=len(x) > _MOST_MARKS,
         )

@@ -2,8 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from matplotlib import pyplot
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -25,10 +28,10 @@ from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, fitting_size, letters, styled
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.findings.results import Findings, Prediction, predict
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 
-GRID = 44
-"""Points along each side of a plane."""
+GRID, _FINE = 44, 150
+"""Points along each side of a plane of the report, and of a single one."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
         order = np.argsort(scales)
     else:
         order = np.argsort(-findings.influence, kind="stable")
-    middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
-    for column, one in enumerate(space.parameters):
-        middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
+    middle = middle_of(space)
     # Choices have no axes; the most influential ones take the place of a third variable.
     is_choice = np.array([bool(one.choices) for one in space.parameters])
     first = [int(column) for column in order if not is_choice[column]][:3]
@@ -173,6 +174,46 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
     shown = [*of_choices, *planes]
     return Coordinates(variables(campaign), findings.X, middle, at, shown, lambda plane, _: float(width[plane.third]))
+
+
+def middle_of(space: DesignSpace) -> Array:
+    """The design, (d,), in the middle of all ranges, with the most probable choices."""
+    middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
+    for column, one in enumerate(space.parameters):
+        middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
+    return np.asarray(middle)
+
+
+@styled()
+def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | None) -> Axes:
+    """The probability of the target boundary's outcome or worse in a plane of two variables, and the simulations.
+
+    Args:
+        findings: of the campaign.
+        x, y: columns of the two variables.
+        X: (d,) values of the others.
+        axes: to draw on; new ones of pyplot, which a notebook shows, if None.
+    """
+    axes = pyplot.subplots()[1] if axes is None else axes
+    campaign, space, named = findings.campaign, findings.campaign.space, variables(findings.campaign)
+    across, up = np.meshgrid(*(np.linspace(space.low[column], space.high[column], _FINE) for column in (x, y)))
+    rows = np.tile(X, (across.size, 1))
+    rows[:, x], rows[:, y] = across.ravel(), up.ravel()
+    beyond = predict(campaign, findings.classifier, space.nearest(rows)).beyond
+    shades = filled_contours(axes, across, up, beyond.reshape(across.shape))
+    answered = findings.answered
+    scatter_outcomes(
+        axes,
+        findings.X[answered, x],
+        findings.X[answered, y],
+        findings.outcome[answered],
+        campaign.simulator.outcomes,
+        28.0,
+    )
+    colour_bar(cast(Figure, axes.get_figure(root=True)), axes, shades, f"P({plain(findings.beyond)})")
+    axes.set(xlabel=named[x].axis, ylabel=named[y].axis)
+    axes.legend(handles=outcome_handles(campaign.simulator.outcomes))
+    return axes
 
 
 @styled()
@@ -238,7 +279,7 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
             last = row == len(layers) - 1
             Z = np.where(exists, layer, np.nan).reshape(x.shape)
             shades = filled_contours(axes, x, y, Z, uncertainty=last)
-            scatter_outcomes(axes, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
+            scatter_outcomes(axes, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 28.0)
             axes.set(xlim=x_limits, ylim=y_limits)
             if column == 0:
                 axes.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple, Self
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
 from activefail.findings.lines import titled
-from activefail.findings.quantities import words
+from activefail.findings.quantities import significant, words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
-from activefail.shares import interval_percent, percent
+from activefail.shares import alike, interval_percent, percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
@@ -35,7 +35,8 @@ def rounded_up(share: float) -> str:
     if not 0.0 < share < 1.0:
         return f"{share:g}"
     unit = 10.0 ** (math.floor(math.log10(share)) - 1)
-    return f"{min(1.0, math.ceil(share / unit - 1e-9) * unit):.2g}"
+    raised = math.ceil(share / unit - 1e-9) * unit
+    return significant(raised, 2) if raised < 1.0 else "1"
 
 
 class Bound(NamedTuple):
@@ -166,7 +167,8 @@ class ProbabilityFindings:
         name = or_worse(self.outcome, self.outcomes)
         learned = f"the margin {self.learned_from}" if self.learned_from else "the outcomes"
         failed = f"; {estimate.unanswered} failed numerically" if estimate.unanswered else ""
-        interval = f"{estimate.low:.3g} to {estimate.high:.3g}"
+        probability, low, high, model = alike(estimate.probability, estimate.low, estimate.high, self.model.probability)
+        interval = f"{low} to {high}"
         if self.is_extrapolated:
             interval = f"0 to {rounded_up(self.high)}, without a model; {interval} under the classifier"
         else:
@@ -180,7 +182,7 @@ class ProbabilityFindings:
             ),
             (
                 "classifier",
-                f"{self.model.probability:.3g}, learned from {learned}, without an interval; contradictions by fresh "
+                f"{model}, learned from {learned}, without an interval; contradictions by fresh "
                 f"simulations: {estimate.wrong}",
             ),
         ]
@@ -201,7 +203,7 @@ class ProbabilityFindings:
             *(("note", sentence) for sentence in self.assumptions),
         ]
         under = f" under {self.question}" if self.question else ""
-        return [f"probability of {name}{under}: {estimate.probability:.3g}", *titled(rows)]
+        return [f"probability of {name}{under}: {probability}", *titled(rows)]
 
     @property
     def extrapolated(self) -> float:
@@ -291,8 +293,8 @@ class ProbabilityFindings:
                 f"{name} comes from there. Fresh simulations are drawn there too."
             )
         sentences.append(
-            f"The outermost designs, with a total probability of {REACH:g}, are never simulated; the upper end of the "
-            "interval counts them as failures."
+            f"The outermost designs, with a total probability of {significant(REACH, 1)}, are never simulated; the "
+            "upper end of the interval counts them as failures."
         )
         if self.outside > REACH:
             sentences.append(

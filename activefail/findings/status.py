@@ -15,7 +15,7 @@ from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
-from activefail.shares import lognormal_interval, percent
+from activefail.shares import alike, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.verification.confidence_bounds import unseen_outcomes
 from activefail.visible import or_worse, quoted, visible
@@ -112,21 +112,22 @@ class Status:
         if not len(looks := self.state.get("stop/looks", ())):
             return []
         _, probability, sd, error = looks[-1].tolist()
-        low, high = lognormal_interval(probability, math.hypot(sd, error), REACH)
+        probability, low, high = alike(probability, *lognormal_interval(probability, math.hypot(sd, error), REACH))
         seen = all(self.summary.counts[:-1])
-        interval = f"95 % interval {low:.2g} to {high:.2g}" if seen else "without an interval"
-        text = f"probability {probability:.3g} under the classifier, {interval}; "
+        interval = f"95 % interval {low} to {high}" if seen else "without an interval"
+        text = f"probability {probability} under the classifier, {interval}; "
         return [("estimate", text + "`activefail probability` estimates it from fresh simulations")]
 
     def _estimated(self, outcome: str, of: Mapping[str, Any]) -> str:
         """An estimate of an outcome's probability in words, from its numbers in JSON."""
         name = visible(or_worse(outcome, self.summary.outcomes))
-        interval = f"{100.0 * of['confidence']:g} % interval {of['low']:.3g} to {of['high']:.3g}"
+        probability, low, high = alike(of["probability"], of["low"], of["high"])
+        interval = f"{100.0 * of['confidence']:g} % interval {low} to {high}"
         if of["extrapolated"]:
             interval = f"at most {of['high']:.2g} without a model, because no simulation ended in {name}"
         under = f" under {visible(of['question'])}" if of["question"] else ""
         text = (
-            f"probability of {name}{under} {of['probability']:.3g}, {interval}, from {of['simulations']} fresh "
+            f"probability of {name}{under} {probability}, {interval}, from {of['simulations']} fresh "
             f"simulations; recall at least {percent(of['recall_low'])}"
         )
         if of["contradictions_where_sure"]:

@@ -4,6 +4,8 @@ import math
 from contextlib import suppress
 from typing import Any
 
+from scipy.special import ndtri
+
 from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.figures.svg import inline
@@ -13,7 +15,7 @@ from activefail.findings.failure import FailureFindings
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import boundary_of
-from activefail.shares import percent
+from activefail.shares import alike, percent
 
 
 def failure_section(findings: Findings, failure: FailureFindings | None) -> dict[str, Any] | None:
@@ -29,11 +31,12 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
     if asked is not None:
         shown["asked"] = _texts(asked.estimate, asked.high if asked.is_extrapolated else None)
         shown["asked"] |= {"question": asked.question, "outside": percent(asked.extrapolated)}
+    model, *ends = alike(float(failure.probability[-1]), low, high)
     figure = plot_probability(failure, quantities.plain(findings.beyond))
     return shown | {
         "is_rare": failure.is_rare,
-        "model": f"{failure.probability[-1]:.3g}",
-        "model_interval": None if math.isnan(low) else f"{low:.3g} to {high:.3g}",
+        "model": model,
+        "model_interval": None if math.isnan(low) else " to ".join(ends),
         "asks": bool(findings.campaign.question.digest),
         "bound": rounded_up(failure.bound),
         "seen": int(failure.seen[-1]),
@@ -49,11 +52,16 @@ def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]
         estimate: the estimate.
         bound: upper bound without a model if no simulation ended beyond the boundary: then it alone rests on them.
     """
-    low, high = (0.0, rounded_up(bound)) if bound is not None else (estimate.low, f"{estimate.high:.3g}")
+    probability, low, high = alike(estimate.probability, estimate.low, estimate.high)
+    if bound is not None:
+        low, high = "0", rounded_up(bound)
+    beta = [f"{-ndtri(p):.2f}" for p in (estimate.probability, estimate.high, estimate.low)]
     return {
         "of": estimate,
-        "probability": f"{estimate.probability:.3g}",
-        "interval": f"{low:.3g} to {high}",
+        "probability": probability,
+        "interval": f"{low} to {high}",
+        "beta": beta[0] if bound is None and estimate.low > 0.0 else "",
+        "beta_interval": f"{beta[1]} to {beta[2]}",
         "extrapolated": bound is not None,
         "confidence": f"{100.0 * estimate.confidence:g} %",
     }

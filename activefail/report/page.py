@@ -260,8 +260,14 @@ def _commands(findings: Findings, evidence: Evidence, done: int, risk: RiskFindi
     return [*commands, f"activefail report {folder}{f' {risk.request.options}' if risk else ''}"]
 
 
-def _next_step(campaign: Campaign, evidence: Evidence, folder: str, has_risk: bool) -> tuple[str, str]:
+def _next_step(
+    campaign: Campaign, evidence: Evidence, folder: str, failure: FailureFindings | None, has_risk: bool
+) -> tuple[str, str]:
     """What a reader of the page about a complete campaign in a run folder (quoted) does next: a command, and why."""
+    if failure is not None and not campaign.is_elsewhere:
+        if failure.estimate is None and failure.asked is None:
+            return f"activefail probability {folder}", "estimates the probability with an interval"
+        return f"activefail sensitivity {folder}", "says which variables matter"
     if not campaign.is_elsewhere and "error" in evidence.missing:
         return f"activefail verify {folder}", "estimates with an interval how much the classifier gets wrong"
     if not campaign.is_elsewhere and "curve" in evidence.missing:
@@ -296,7 +302,7 @@ def render(
     done, scales = history.asked_for, length_scales(findings.classifier)
     left = 0 if noted(store) else max(0, settings.sampling.budget - done)
     continues = continue_command(findings.folder, campaign)
-    next_step = _next_step(campaign, evidence, folder, risk is not None)
+    next_step = _next_step(campaign, evidence, folder, failure, risk is not None)
     if left:
         next_step = continues, f"continues the campaign: {left} of the planned simulations are left"
     hidden = ("processor_features", "bearing_sources")

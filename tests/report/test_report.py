@@ -147,7 +147,7 @@ def self_contained(text: str, without: tuple[str, ...] = ()) -> Page:
 
 
 def test_a_report_without_a_hazard_says_how_to_add_the_fragility(folder, html):
-    assert f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml</code> adds it" in html
+    assert f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml</code> adds the fragility" in html
 
 
 def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
