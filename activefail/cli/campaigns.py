@@ -29,7 +29,7 @@ from activefail.errors import InputError
 from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
 from activefail.requests import EXECUTOR, SCHEDULER, WORKERS
-from activefail.visible import visible
+from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from activefail.execution.executor import AsynchronousExecutor
@@ -156,6 +156,9 @@ def _take(
             "them with `activefail drop`"
         )
     print(f"results    {visible(str(run.folder))}")
+    asks = run.settings.probability_rule is not None or run.settings.question is not None
+    first = "probability" if asks else "verify"
+    print(f"next       {', '.join(f'activefail {name} {quoted(run.folder)}' for name in (first, 'report', 'explore'))}")
 
 
 def status(folder: RunFolder, as_json: AsJson = False) -> None:

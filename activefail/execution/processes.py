@@ -7,6 +7,7 @@ forks never answers.
 import os
 import pickle
 import select
+import signal
 import socket
 import struct
 import subprocess
@@ -68,12 +69,17 @@ class Worker:
             with theirs:
                 # -P: the current folder may be a run folder from someone else, with a `pickle.py` in it.
                 command = [sys.executable, *flags, "-P", "-c", _PROGRAM, str(os.getpid()), str(theirs.fileno())]
-                self._process = subprocess.Popen(
-                    [*command, *(entry for entry in path if isinstance(entry, str))],
-                    stdin=subprocess.DEVNULL,
-                    pass_fds=(theirs.fileno(),),
-                    start_new_session=True,  # a terminal sends Ctrl-C to its own session
-                )
+                # A Ctrl-C between the fork and the new session waits, and the supervisor then ignores it.
+                mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                try:
+                    self._process = subprocess.Popen(
+                        [*command, *(entry for entry in path if isinstance(entry, str))],
+                        stdin=subprocess.DEVNULL,
+                        pass_fds=(theirs.fileno(),),
+                        start_new_session=True,  # a terminal sends Ctrl-C to its own session
+                    )
+                finally:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             self._connection = Connection(os.dup(self._socket.fileno()))
         except OSError as error:
             raise SimulationError(f"A worker process cannot be started: {reason_of(error)}.") from None
