@@ -187,6 +187,15 @@ def filled_file(text: str, design: Mapping[str, Value]) -> str:
     return _IN_FILE.sub(filled, text)
 
 
+def named_in(text: str, folder: Path) -> list[Path]:
+    """The files in a folder that a script names, also below another folder, $here/a.tcl, but not where output goes."""
+    beside, found = {path.name for path in folder.iterdir()}, set()
+    for word in set(re.split(r"[^\w./+-]+", re.sub(r">\s*\S+", " ", text))):
+        parts = word.split("/")
+        found |= {folder.joinpath(*parts[k:]) for k, part in enumerate(parts) if part in beside}
+    return [path for path in sorted(found) if path.is_file()]
+
+
 def words_of(command: str) -> set[str]:
     """The words of a command that may name files or modules, also those in its scripts, but not where output goes.
 

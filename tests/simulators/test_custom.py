@@ -732,6 +732,27 @@ def test_what_a_command_names_in_any_way_is_in_the_digest_of_its_code(tmp_path: 
 
 
 @pytest.mark.parametrize(
+    "script", ["python3 part.py", "source $here/lib/a.tcl", "*INCLUDE, INPUT=mesh.inp", "./two.sh"]
+)
+def test_what_a_script_names_is_in_the_digest(tmp_path: Path, script: str) -> None:
+    (tmp_path / "lib").mkdir()
+    for name, text in {"part.py": "import other", "lib/a.tcl": "", "mesh.inp": "", "two.sh": "cat mesh.inp"}.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "run.sh").write_text(f"{script} > $AF_HERE/log\n")
+
+    def digest() -> str:
+        return made(tmp_path, templates=(), command="sh {here}/run.sh").digest()
+
+    before = digest()
+    (tmp_path / "log").write_text("more\n")
+    (tmp_path / "plot.py").touch()
+    assert digest() == before
+    for name in ("other.py", "lib/a.tcl", "mesh.inp"):
+        (tmp_path / name).write_text("limit = 2\n")
+    assert digest() != before
+
+
+@pytest.mark.parametrize(
     ("printed", "pattern"),
     [
         ("g = 0.123-105", r"g = ([\d.]+)"),
