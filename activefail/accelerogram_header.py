@@ -25,7 +25,7 @@ _GAP = r"(?:[ _]?[\[(][^\])]*[\])])?\s*(?:[:=,]|\bis\b|\bof\b)?\s*"
 
 _NOT_G = (
     r"(?:(?:[cm]?m|in|ft)\s*/\s*s(?:ec)?\s*(?:(?:\^|\*\*)?\s*[2²]|/\s*s(?:ec)?)|[cm]?m[ _.·]?s(?:ec)?\^?-?[2²]|gals?"
-    r"|(?:%|milli)[ -]*g|g\s*/\s*\d+)(?![\w/^*²])"
+    r"|(?:%|milli|micro)[ -]*g|[mµμ]g|g\s*/\s*\d+)(?![\w/^*²])"
 )
 _ACCELERATION = rf"(?:{_NOT_G}|g(?![\w/^*²]))"
 _SYMBOLS = {
@@ -40,8 +40,14 @@ _SYMBOLS = {
     r"\bsec(?:ond)?s?\b": "s",
 }
 """Words of units, as symbols."""
-_BARE_UNIT = re.compile(rf"(?<![\w/^*.]){_NOT_G}", re.IGNORECASE)
-"""A unit of acceleration, whatever the words around it are; g alone may be a name."""
+_BARE_UNIT = re.compile(
+    rf"(?<![\w/^*.])(?:{_NOT_G}|[cm]?m\s*/\s*s(?:ec)?(?:\^?3)?(?![\w/^*²])|\bcounts?\b(?!\s*[:=]?\s*\d+\W*$))"
+    rf"(?![\])]?\s*[:=]\s*{NUMBER})",
+    re.IGNORECASE,
+)
+"""A unit, whatever the words around it are, also of velocities and raw data; g alone may be a name."""
+_OTHER_WORDS = re.compile(r"convert|multipl|vs_?30|number of|sample", re.IGNORECASE)
+"""Before such a unit, say that it is not that of the samples."""
 _UNIT = re.compile(
     r"units?\s*(?:\b(?:of|in|are|is)\b|[:=,])\s*[\[(]?\s*([^\s,;()\[\]]+(?:\s*/\s*[^\s,;()\[\]]+)*)"
     r"|\bacc\w*\.?\s*[\[(]([^\])]+)[\])]"
@@ -106,6 +112,7 @@ _OTHER_KINDS = ("VEL", "DIS", "SA", "SD")
 _OTHER_TITLE = re.compile(
     r"\b(?:veloc|vel\b|displ|disp\b|spectr|fourier)|^\W*(?:T|periods?)\b.*\bp?s[adv]\b", re.IGNORECASE
 )
+_OTHER_KIND = re.compile(r"\W*(?:velocity|displacement)\b", re.IGNORECASE)
 
 FORMATS = {
     "K-NET": r"^Scale Factor\s+[\d.]+\(gal\)/",
@@ -174,8 +181,9 @@ def units(header: Lines) -> list[Stated]:
     for place, (line, text) in enumerate(header, 1):
         kind = _KIND.search(text)
         is_other = kind is not None and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS)
-        # The last line has the title of the columns.
-        if is_other or (place == len(header) and _OTHER_TITLE.search(text) and "acc" not in text.lower()):
+        # The last line has the title of the columns; a line before may begin with the kind.
+        titles = _OTHER_TITLE.search(text) if place == len(header) else _OTHER_KIND.match(text)
+        if is_other or (titles and "acc" not in text.lower()):
             raise InputError(f"line {line}: must state an acceleration, got {text.strip()!r}.")
         plain = _in_symbols(text)
         for match in _UNIT.finditer(plain):
@@ -223,7 +231,7 @@ def intervals(header: Lines) -> list[Stated]:
 
 
 def check_unit(header: Lines, unit: str) -> None:
-    """Check a unit that only an option states against units of acceleration in the header.
+    """Check a unit that only an option states against units in the header.
 
     Raises:
         InputError: if there are such units, and none of them is this one.
@@ -233,7 +241,8 @@ def check_unit(header: Lines, unit: str) -> None:
         plain = _in_symbols(text)
         for match in _BARE_UNIT.finditer(plain):
             before = plain[: match.start()]
-            if not re.search(rf"{NUMBER}\s*[\[(]?\s*$", before) and not _NO_UNIT_OF_SAMPLES.search(before):
+            is_of_number = re.search(rf"{NUMBER}\s*[\[(]?\s*$", before)
+            if not (is_of_number or _NO_UNIT_OF_SAMPLES.search(before) or _OTHER_WORDS.search(before)):
                 found.append(Stated(unit_named(match[0]), line, text))
     if not any(fact.value == unit for fact in found):
         agreed("unit", unit, found, str, eq)

@@ -415,7 +415,6 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
         ):
             with pytest.raises(InputError, match=re.escape(message)):
                 run.add(path, names=names | wrong)
-        units = {"load": "kN", "strength": ""}
         for name, column in (("load", "Kraft [N]"), ("load", "load_N"), ("strength", "strength (%)")):
             with pytest.raises(InputError, match=re.escape(f"map: {column!r} may have another unit than {name}")):
                 run.add([{"load": 2.5, "strength": 8.0, "outcome": "safe", column: 1.0}], names={name: column})
