@@ -171,6 +171,13 @@ class CommandSimulator:
                 raise InputError(f"simulator.template: {file}: {reason}.") from None
         return asked
 
+    @property
+    def unnamed(self) -> list[str]:
+        """The variables that neither the command nor a template names, although it names others or there is one."""
+        named = {*itertools.chain(*self.filled.values()), *re.findall(r"(?:\{|AF_)(\w+)", self.command)}
+        names = self.space.names
+        return [name for name in names if name not in named] if self.templates or named & {*names} else []
+
     def _template(self, file: str) -> str:
         assert self.here is not None
         # Other encodings than UTF-8 stay what they are.

@@ -783,6 +783,8 @@ def test_what_was_copied_is_no_answer_and_no_output_lies_outside(tmp_path: Path)
         ({"output": str(tmp_path / "shared.out")}, "must be a file in the folder of the run"),
         ({"output": "../shared.out"}, "must be a file in the folder of the run"),
         ({"work": tmp_path / "results" / "run"}, "results must not hold the run folder"),
+        ({"command": "model {drift} > {out}"}, "runs without a shell, to which > means something; write sh -c"),
+        ({"command": "cd {here} && ./model"}, "runs without a shell, to which && means"),
         ({"command": "sh -c 'x=1; echo ${x}'"}, r"write \$\{\{x\}\} for the shell's own variable, or \$AF_x"),
     ):
         with pytest.raises(InputError, match=says):
