@@ -428,6 +428,14 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
     assert [row["tested by"] for row in rows] == ["'=Ben"] * 2
 
 
+@pytest.mark.parametrize(("margins", "is_flag"), [((0, 1, 1), True), ((0, 1, 0.5), False), ((1, 1, 1), False)])
+def test_a_margin_that_may_be_a_flag_is_warned_of(lab: Path, margins: tuple[float, ...], is_flag: bool) -> None:
+    folder = lab.with_name("run")
+    with af.create_run(folder, lab) as run:
+        run.add([{"load": 2.0 + k, "strength": 8.0, "g": margin} for k, margin in enumerate(margins)])
+    assert ("warning: All margins g are 0 or 1, like a flag." in activefail("status", folder).err) is is_flag
+
+
 def test_columns_are_scaled_and_shifted_and_those_that_export_has_are_named(lab: Path) -> None:
     rows = {"Load cell 1 [C]": [-271.15, -270.15], "strength": 8.0, "depth": [-100.0, 200.0], "origin": "Lyon", "id": 7}
     names = {"load": "Load cell 1 [C]+273.15", "g": "depth*-0.01-0.5"}
