@@ -47,8 +47,8 @@ LARGEST_ANSWER = 1_000_000
 _LARGEST_OUTPUT = 100_000_000
 """Most bytes in a file that a pattern is searched in."""
 
-_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD][+-]?|(?<![\w-])[-−])\Z")
-_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD]?[+-]?\d")
+_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD][+-]?|(?<![\w-])[-−]|[=:]\s*[-−]\s*)\Z")
+_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD]?[+-]?\d|[-−](?!\w)|\s*[*x×·]\s*10\s*(?:\^|\*\*)")
 """What is before and after a match that is only a part of a number."""
 
 _OWN_FILES = ("design.json", "stdout.txt", "stderr.txt", "answer.json")
@@ -322,7 +322,7 @@ def _matched(pattern: str, path: Path) -> float:
     Raises:
         UnusableAnswerError: if there is none.
     """
-    text = _read(path, _LARGEST_OUTPUT).decode(errors="replace")
+    text = _read(path, _LARGEST_OUTPUT).decode(errors="replace").replace("\r\n", "\n")
     *_, found = None, *re.finditer(pattern, text, re.MULTILINE)
     if found is None:
         raise UnusableAnswerError(f"{path.name} has no match of simulator.pattern, {pattern!r}")

@@ -762,11 +762,22 @@ def test_what_a_script_names_is_in_the_digest(tmp_path: Path, script: str) -> No
         ("g = -7.142857e-02", r"([-\d.]+)"),
         ("g = 0,5", r"g = ([-\d.]+)"),
         ("g = 1.#INF", r"g = ([-\d.]+)"),
+        ("g = - 0.5", r"g = .*?([\d.]+)"),
+        ("g = 0.5-", r"g = ([\d.]+)"),
+        ("g = 1.5*10^-3", r"g = ([\d.]+)"),
+        ("g = 1.5 x 10^-3", r"g = (\S+)"),
+        ("g = 1.5·10**-3", r"g = ([\d.]+)"),
     ],
 )
 def test_a_pattern_that_matches_a_part_of_a_number_gives_no_answer(tmp_path: Path, printed: str, pattern: str) -> None:
     results = answer(made(tmp_path, templates=(), command=f"echo '{printed}'", pattern=pattern), X[:1])
     assert "simulator.pattern: must match whole numbers" in results.faults[0]
+
+
+def test_a_line_may_end_as_on_windows_and_a_dash_may_be_no_sign(tmp_path: Path) -> None:
+    for printed, pattern in (("g = 4\\r", "^g = (\\d)$"), ("g - 4 mm", "g - (\\S+)"), ("4 - 5", "([\\d.]+) - 5")):
+        results = answer(made(tmp_path, templates=(), command=f"printf '{printed}\\n'", pattern=pattern), X[:1])
+        assert results.margins.tolist() == [[4.0]], results.faults
 
 
 def test_a_number_of_fortran_needs_no_e(tmp_path: Path) -> None:
