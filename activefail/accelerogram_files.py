@@ -18,6 +18,7 @@ from activefail.accelerogram_header import (
     check_format,
     check_option,
     check_peak,
+    check_unit,
     factors,
     intervals,
     points,
@@ -96,7 +97,10 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt:
     text = _text(path)
     with naming(f"{path}: "):
         header, data = _parts(text)
-        found = agreed("unit", given, units(header), str, eq)
+        named = units(header)
+        found = agreed("unit", given, named, str, eq)
+        if given is not None and not named:
+            check_unit(header, given)
         if found is None:
             raise InputError(f"unit: the header states none, so it is required (--unit, one of {', '.join(UNITS)}).")
         stated = intervals(header)

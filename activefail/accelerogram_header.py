@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import eq
 from typing import Any
 
 from activefail.bearing.accelerogram import EVEN
@@ -22,10 +23,31 @@ Lines = list[tuple[int, str]]
 _GAP = r"(?:[ _]?[\[(][^\])]*[\])])?\s*(?:[:=,]|\bis\b|\bof\b)?\s*"
 """What is between a key and its value: a unit in brackets, and a sign or word."""
 
-_ACCELERATION = (
-    r"(?:[cm]?m\s*/\s*s(?:ec)?\s*(?:(?:\^|\*\*)?\s*[2²]|/\s*s(?:ec)?)|[cm]?m[ _.·]?s(?:ec)?\^?-?[2²]|gals?|g)"
-    r"(?![\w/^*²])"
+_NOT_G = (
+    r"(?:(?:[cm]?m|in|ft)\s*/\s*s(?:ec)?\s*(?:(?:\^|\*\*)?\s*[2²]|/\s*s(?:ec)?)|[cm]?m[ _.·]?s(?:ec)?\^?-?[2²]|gals?"
+    r"|(?:%|milli|micro)[ -]*g|[mµμ]g|g\s*/\s*\d+)(?![\w/^*²])"
 )
+_ACCELERATION = rf"(?:{_NOT_G}|g(?![\w/^*²]))"
+_SYMBOLS = {
+    r"\bcentimet(?:er|re)s?\b": "cm",
+    r"\bmillimet(?:er|re)s?\b": "mm",
+    r"\bmet(?:er|re)s?\b": "m",
+    r"\binch(?:es)?\b": "in",
+    r"\bf(?:ee|oo)t\b": "ft",
+    r"\bper ?cent(?: of)?\b": "%",
+    r"\s*\bper\s+": "/",
+    r"\bsec(?:ond)?s?[ -]+squared?\b": "s2",
+    r"\bsec(?:ond)?s?\b": "s",
+}
+"""Words of units, as symbols."""
+_BARE_UNIT = re.compile(
+    rf"(?<![\w/^*.])(?:{_NOT_G}|[cm]?m\s*/\s*s(?:ec)?(?:\^?3)?(?![\w/^*²])|\bcounts?\b(?!\s*[:=]?\s*\d+\W*$))"
+    rf"(?![\])]?\s*[:=]\s*{NUMBER})",
+    re.IGNORECASE,
+)
+"""A unit, whatever the words around it are, also of velocities and raw data; g alone may be a name."""
+_OTHER_WORDS = re.compile(r"convert|multipl|vs_?30|number of|sample", re.IGNORECASE)
+"""Before such a unit, say that it is not that of the samples."""
 _UNIT = re.compile(
     r"units?\s*(?:\b(?:of|in|are|is)\b|[:=,])\s*[\[(]?\s*([^\s,;()\[\]]+(?:\s*/\s*[^\s,;()\[\]]+)*)"
     r"|\bacc\w*\.?\s*[\[(]([^\])]+)[\])]"
@@ -49,7 +71,7 @@ _POINTS = re.compile(
     re.IGNORECASE,
 )
 _INTERVAL = re.compile(
-    rf"(?:\bDT(?:_s)?\b|\bdelta(?:[ _]?t)?\b|Δ\s?t\b|(?:time|sampl\w*)[ _-]*(?:step|interval|increment|period|spacing)"
+    rf"(?:\bDT(?:_s)?\b|\bdelta(?:[ _-]?t)?\b|Δ\s?t\b|(?:time|sampl\w*)[ _-]*(?:step|interval|increment|period|spacing)"
     rf"(?:_m?s)?\b){_GAP}({NUMBER})\s*[a-z]*"
     rf"|\bspac(?:ed|ing)\s+(?:\w+\s+)?(?:at|of|by)\s+({NUMBER})\s*[a-z]*"
     rf"|\bintervals\s+of\s+({NUMBER})\s*[a-z]*"
@@ -63,7 +85,7 @@ _RATE = re.compile(
     rf"|({NUMBER})\s*(?:samples\s*(?:/|per)\s*s|sps\b)",
     re.IGNORECASE,
 )
-_BARE_INTERVAL = re.compile(rf"(?<![\w.])({NUMBER})\s*(hz|s|sec|seconds?)\b(?!\s*/)", re.IGNORECASE)
+_BARE_INTERVAL = re.compile(rf"(?<![\w.])({NUMBER})\s*(hz|m?s|m?sec|(?:milli)?seconds?)\b(?!\s*/)", re.IGNORECASE)
 """A number that may be an interval or a rate, whatever the words around it are."""
 
 _NO_INTERVAL = re.compile(
@@ -87,7 +109,10 @@ _TIME_IN_MS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(,_]\s*m(?:illi)?s(?:ec\w*
 _TIME_IN_OTHERS = re.compile(r"(?<![a-z])t(?:imes?)?\s*[\[(]\s*(?:us|[µμ]s|micro\w*|min\w*|h|hours?)\b", re.IGNORECASE)
 _KIND = re.compile(r"\b(?:(\w+)\s+TIME\s+(?:SERIES|HISTORY)|DATA[_ ]?TYPE\s*[:=]\s*(\w+))", re.IGNORECASE)
 _OTHER_KINDS = ("VEL", "DIS", "SA", "SD")
-_OTHER_TITLE = re.compile(r"\b(?:veloc|vel\b|displ|disp\b|spectr|fourier)", re.IGNORECASE)
+_OTHER_TITLE = re.compile(
+    r"\b(?:veloc|vel\b|displ|disp\b|spectr|fourier)|^\W*(?:T|periods?)\b.*\bp?s[adv]\b", re.IGNORECASE
+)
+_OTHER_KIND = re.compile(r"\W*(?:velocity|displacement)\b", re.IGNORECASE)
 
 FORMATS = {
     "K-NET": r"^Scale Factor\s+[\d.]+\(gal\)/",
@@ -156,14 +181,16 @@ def units(header: Lines) -> list[Stated]:
     for place, (line, text) in enumerate(header, 1):
         kind = _KIND.search(text)
         is_other = kind is not None and (kind[1] or kind[2]).upper().startswith(_OTHER_KINDS)
-        # The last line has the title of the columns.
-        if is_other or (place == len(header) and _OTHER_TITLE.search(text) and "acc" not in text.lower()):
+        # The last line has the title of the columns; a line before may begin with the kind.
+        titles = _OTHER_TITLE.search(text) if place == len(header) else _OTHER_KIND.match(text)
+        if is_other or (titles and "acc" not in text.lower()):
             raise InputError(f"line {line}: must state an acceleration, got {text.strip()!r}.")
-        for match in _UNIT.finditer(text):
-            before = text[: match.start()]
+        plain = _in_symbols(text)
+        for match in _UNIT.finditer(plain):
+            before = plain[: match.start()]
             if match[1] is None and match[2] is None and re.search(rf"{NUMBER}\s*$", before):
                 continue  # of that number
-            if match[1] is None and _NO_UNIT_OF_SAMPLES.search(text[: match.end()]):
+            if match[1] is None and _NO_UNIT_OF_SAMPLES.search(plain[: match.end()]):
                 continue
             if match[0].lower().startswith("in") and not _OF_SAMPLES.search(before):
                 continue
@@ -203,6 +230,31 @@ def intervals(header: Lines) -> list[Stated]:
     return found
 
 
+def check_unit(header: Lines, unit: str) -> None:
+    """Check a unit that only an option states against units in the header.
+
+    Raises:
+        InputError: if there are such units, and none of them is this one.
+    """
+    found = []
+    for line, text in header:
+        plain = _in_symbols(text)
+        for match in _BARE_UNIT.finditer(plain):
+            before = plain[: match.start()]
+            is_of_number = re.search(rf"{NUMBER}\s*[\[(]?\s*$", before)
+            if not (is_of_number or _NO_UNIT_OF_SAMPLES.search(before) or _OTHER_WORDS.search(before)):
+                found.append(Stated(unit_named(match[0]), line, text))
+    if not any(fact.value == unit for fact in found):
+        agreed("unit", unit, found, str, eq)
+
+
+def _in_symbols(text: str) -> str:
+    """A line with the symbols of units in place of their words."""
+    for word, symbol in _SYMBOLS.items():
+        text = re.sub(word, symbol, text, flags=re.IGNORECASE)
+    return text
+
+
 def check_option(header: Lines, dt: float) -> None:
     """Check an interval [s] that only an option states against numbers of the header that may be one.
 
@@ -214,6 +266,7 @@ def check_option(header: Lines, dt: float) -> None:
         for match in () if _NO_INTERVAL.search(text) else _BARE_INTERVAL.finditer(text):
             number = number_in(match[1])
             step = 1.0 / number if match[2].lower() == "hz" and number > 0.0 else number
+            step *= 1e-3 if _MILLISECONDS.search(match[2]) else 1.0
             if 1e-4 <= step <= 0.1:
                 found.append(Stated(step, line, text))
     if found and not any(same_interval(fact.value, dt) for fact in found):

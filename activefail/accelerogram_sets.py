@@ -227,7 +227,9 @@ def _records(folder: Path) -> tuple[Table, tuple[str, ...], tuple[str, ...]]:
     Raises:
         InputError: if a table breaks a rule, or names do not tell which component is vertical.
     """
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    # A Mac adds hidden files, such as ._RSN953.AT2.
+    visible_files = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    paths = sorted(path for path in visible_files if path.suffix.lower() in _SUFFIXES)
     search = [path for path in paths if _SEARCH.fullmatch(path.name)]
     tables = [path for path in paths if path.name.lower() == TABLE]
     files = [path.name for path in paths if path not in (*search, *tables)]

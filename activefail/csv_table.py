@@ -396,7 +396,10 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
                     continue
                 place = f"{name}: row {number} (line {lines.line_num})"
                 if len(cells) != len(columns):
-                    raise InputError(f"{place}: must have {len(columns)} cells, like the header, has {len(cells)}.")
+                    first = " The header must be the first line." if len(columns) == 1 else ""
+                    raise InputError(
+                        f"{place}: must have {len(columns)} cells, like the header, has {len(cells)}.{first}"
+                    )
                 rows.append(cells)
                 places.append(place)
                 if len(rows) == at_once:

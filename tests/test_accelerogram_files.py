@@ -257,7 +257,8 @@ TIMES = "\n".join(f"{k} 0.{k}" for k in range(1, 6))
     ("text", "dt", "says"),
     [
         *((f"{fact}\n0.1\n-0.2\n", 0.01, "dt: the header states 0.005 s, got 0.01 s (line 1: ") for fact in (
-            "Frequency: 200 Hz", "Spacing used: 0.005 s", "Digitized with .005 seconds", "Rate 200 Hz", "(5.0D-3 sec)",
+            "Frequency: 200 Hz", "Samples every 5 ms", "DELTA-T 5.0 MSEC", "Step 5.0 milliseconds",
+            "Spacing used: 0.005 s", "Digitized with .005 seconds", "Rate 200 Hz", "(5.0D-3 sec)",
         )),
         ("PGA: 0.35 cm/s/s\n0.2\n-0.35\n", 0.01, "line 1: must agree with the largest of the samples, 0.35 g"),
         ("Max. acc. (gal) = -350\n200\n-350\n", 0.01, "line 1: must agree with the largest of the samples, 350 g, got"),
@@ -283,7 +284,8 @@ def test_what_contradicts_the_samples_or_the_option_is_refused(
     [
         "Rate 100 Hz", "Filter 0.1 Hz to 25 Hz", "Natural frequency of the sensor: 50 Hz", "HP 0.05 Hz, LP 30 Hz",
         "Rate 200 m/s", "PGA: 0.35 g at 5.2 s", "PGA: 35 %g", "Peak acceleration = -343.2 cm/sec/sec",
-        "Multiple components: 3", "Scale factor: 1.00",
+        "Multiple components: 3", "Scale factor: 1.00", "0.1 m/s2 = 10 gal", "g = 9.81 m/s2", "Vs30 [m/s] 760",
+        "Vs30 (m/s): 760", "converted from cm/s2", "2 counts", "Number of counts: 2", "Count: 2", "Peak (gal) 343",
     ],
 )  # fmt: skip
 def test_numbers_that_agree_or_mean_something_else_are_no_contradiction(tmp_path: Path, header: str) -> None:
@@ -292,6 +294,26 @@ def test_numbers_that_agree_or_mean_something_else_are_no_contradiction(tmp_path
     # Of a file with a factor, the samples may be multiplied already.
     record = read_accelerogram(written(tmp_path, f"{header}\nScale factor = 2.5\n0.2\n-0.35\n"), "g", 0.01)
     assert record.notes == ("has a factor in its header, which is not applied: 'Scale factor = 2.5'.",)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("Aceleración en m/s2", "m/s2"), ("Beschleunigung m/s^2, Station 4", "m/s2"), ("Ivme, gal", "cm/s2"),
+        ("acceleration in metres per second squared", "m/s2"), ("in centimeters/second/second", "cm/s2"),
+        ("Acceleration, inches per second squared", None), ("acc in g/10", None), ("Acceleration in % g", None),
+        ("acceleration in percent of g", None), ("Acceleration (µg)", None), ("raw data, counts", None),
+        ("cm/s", None), ("jerk m/s3", None), ("Displacement (cm)\nStation 4", None), ("T (s)  Sa (g)", None),
+    ],
+)  # fmt: skip
+def test_a_unit_in_any_words_must_be_that_of_the_option(tmp_path: Path, header: str, unit: str | None) -> None:
+    path = written(tmp_path, f"{header}\n0.1\n-0.3\n0.2\n")
+    for option in UNITS:
+        if option == unit:
+            assert read_accelerogram(path, option, 0.01).peak == pytest.approx(0.3 * UNITS[option])
+        else:
+            with pytest.raises(InputError, match="line 1"):
+                read_accelerogram(path, option, 0.01)
 
 
 def test_a_column_that_counts_is_left_out_if_the_interval_is_known_and_quoted_cells_are_read(tmp_path: Path) -> None:

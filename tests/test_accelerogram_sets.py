@@ -19,6 +19,7 @@ def folder(tmp_path: Path) -> Path:
         text = f"NPTS= 4, DT= .01 SEC\n0 {number} 2 0\n" if name.endswith("AT2") else f"0\n{number}\n2\n0\n"
         (tmp_path / name).write_text(text)
     (tmp_path / "readme.md").write_text("not a record")
+    (tmp_path / "._b.AT2").write_bytes(b"\0")  # of a Mac
     return tmp_path
 
 
@@ -233,6 +234,6 @@ def test_a_file_that_is_no_record_is_refused_with_what_to_do_and_the_table_s_nam
         InputError, match=r"README\.txt: .* If README\.txt is no record, name the records in records\.csv"
     ):
         read_record_set(folder, "g", 0.01)
-    names = [path.name for path in sorted(folder.iterdir()) if path.name != "README.txt"][:2]
+    names = ["a.txt", "b.AT2"]
     (folder / "Records.CSV").write_text("\n".join(["file", *names]))
     assert len(read_record_set(folder, "g", 0.01).records) == 2

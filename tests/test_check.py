@@ -47,6 +47,16 @@ def test_a_function_is_simulated_twice_and_its_answer_shown(tmp_path: Path, retu
     assert sorted(path.name for path in tmp_path.glob("*")) == ["mine.toml", "model.py"]
 
 
+@pytest.mark.parametrize("command", ["echo g = {x} {y}", "sh -c 'echo g = {x} $AF_y'", "sh {here}/model.sh"])
+def test_variables_that_a_command_names_or_may_read_are_not_warned_of(tmp_path: Path, command: str) -> None:
+    (tmp_path / "model.sh").write_text("echo g = $AF_x\n")
+    (tmp_path / "mine.toml").write_text(
+        f'simulator = {{ command = "{command}", pattern = "g = (\\\\S*)", margins = ["g"] }}\n{SPACE}'
+    )
+    done = activefail("check", tmp_path / "mine.toml")
+    assert (done.code, "warning" in done.out) == (0, False), done
+
+
 def test_a_program_is_shown_with_its_template_and_the_folder_of_its_files(tmp_path: Path) -> None:
     (tmp_path / "model.in").write_text("g = {x}\n")
     program = "command = 'cat model', template = 'model.in', pattern = 'g = (.*)', margins = ['g']"
@@ -54,6 +64,10 @@ def test_a_program_is_shown_with_its_template_and_the_folder_of_its_files(tmp_pa
     done = activefail("check", tmp_path / "mine.toml")
     assert done.code == 0, done.err
     assert "template   model.in is filled in with x\n" in done.out
+    # Braces with blanks, <y> and the like are no placeholders.
+    assert (
+        "warning    neither the command nor a template names y; the program must read design.json or $AF_y" in done.out
+    )
     (folder,) = (Path(line[11:]) for line in done.out.splitlines() if line.startswith("folder"))
     assert (folder / "model").read_text() == "g = 0.5\n"
 

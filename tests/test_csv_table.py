@@ -49,6 +49,10 @@ BAD = {
     "nan": ("a,b\n1,2\nNaN,2\n", "row 2 (line 3), column a: must be a finite number, got 'NaN'"),
     "nul": ("a,b\n1,\x00\n", "row 1 (line 2), column b: must be a number, got '\\x00'"),
     "broken rule": ("a,b\n1,2\n3,2\n", "row 2 (line 3), column b: `a <= b` must hold, got 2"),
+    "title above": (
+        "Results\na,b,note\n1,2,x\n",
+        "row 1 (line 2): must have 1 cells, like the header, has 3. The header must be the first line",
+    ),
     "cell too few": ("a,b,note\n1,2,x\n1,2\n", "row 2 (line 3): must have 3 cells, like the header, has 2"),
     "line breaks in a cell": (
         'note,a,b\n"over\nthree\nlines",1,2\nx,1,?\n',

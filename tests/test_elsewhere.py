@@ -415,6 +415,9 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
         ):
             with pytest.raises(InputError, match=re.escape(message)):
                 run.add(path, names=names | wrong)
+        for name, column in (("load", "Kraft [N]"), ("load", "load_N"), ("strength", "strength (%)")):
+            with pytest.raises(InputError, match=re.escape(f"map: {column!r} may have another unit than {name}")):
+                run.add([{"load": 2.5, "strength": 8.0, "outcome": "safe", column: 1.0}], names={name: column})
     (tmp_path / "map.toml").write_text('outcome = "Result"\nfailure = "collapsed"\n')
     options = ("--map", "load=Load [N]/1000", "--map", "strength=strength_MPa", "--map", tmp_path / "map.toml")
     assert activefail("add", folder, "--csv", path, *options).out == "2 simulations added\n"
@@ -423,6 +426,14 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
     assert [(float(row["load"]), row["outcome"]) for row in rows] == [(2.5, "failure"), (3.0, "safe")]
     # Their labels come back, and no spreadsheet runs them.
     assert [row["tested by"] for row in rows] == ["'=Ben"] * 2
+
+
+@pytest.mark.parametrize(("margins", "is_flag"), [((0, 1, 1), True), ((0, 1, 0.5), False), ((1, 1, 1), False)])
+def test_a_margin_that_may_be_a_flag_is_warned_of(lab: Path, margins: tuple[float, ...], is_flag: bool) -> None:
+    folder = lab.with_name("run")
+    with af.create_run(folder, lab) as run:
+        run.add([{"load": 2.0 + k, "strength": 8.0, "g": margin} for k, margin in enumerate(margins)])
+    assert ("warning: All margins g are 0 or 1, like a flag." in activefail("status", folder).err) is is_flag
 
 
 def test_columns_are_scaled_and_shifted_and_those_that_export_has_are_named(lab: Path) -> None:

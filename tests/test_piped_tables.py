@@ -148,19 +148,38 @@ def run_to(stdout: int, *words: str | Path, **environment: str) -> subprocess.Co
     )
 
 
-def test_a_closed_pipe_ends_a_command_without_a_traceback(home: Path) -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("export", "run", "--code", ".", "--csv", "-"), {"loud code"}),
+        (("status", "run"), set()),
+        (("status", "run", "--json"), set()),
+        (("campaigns",), set()),
+        (("run", "--help"), set()),
+        (("--version",), set()),
+    ],
+)
+def test_a_closed_pipe_ends_a_command_quietly(
+    home: Path, words: tuple[str, ...], said: set[str], unbuffered: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(home)
     reader, writer = os.pipe()
     os.close(reader)
     with open(writer, "wb", closefd=True) as pipe:
-        done = run_to(pipe.fileno(), "export", home / "run", "--code", home, "--csv", "-")
+        done = run_to(pipe.fileno(), *words, PYTHONUNBUFFERED=unbuffered)
     assert done.returncode == 1
-    assert set(done.stderr.splitlines()) == {"loud code"}
+    assert set(done.stderr.splitlines()) == said
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="the system has no full device")
-def test_an_output_that_is_full_ends_a_command_with_the_reason(home: Path) -> None:
+@pytest.mark.parametrize("words", [("export", "run", "--code", ".", "--csv", "-"), ("status", "run", "--json")])
+def test_an_output_that_is_full_ends_a_command_with_the_reason(
+    home: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(home)
     with open("/dev/full", "wb") as full:
-        done = run_to(full.fileno(), "export", home / "run", "--code", home, "--csv", "-")
+        done = run_to(full.fileno(), *words, PYTHONUNBUFFERED="")
     assert done.returncode == 1
     assert done.stderr.endswith("activefail: output: No space left on device\n")
 

@@ -1,6 +1,7 @@
 """Tables of results for `tell` and `add`: their columns, whether their designs match, which rows are refused."""
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -63,12 +64,13 @@ class Reading:
         """The table in the campaign's names, units and words.
 
         Raises:
-            InputError: if a name is unknown, or its column is missing.
+            InputError: if a name is unknown, or its column is missing or has another unit.
         """
         outcomes, known = (*campaign.simulator.outcomes, "numerical_failure"), _known(campaign)
         for name in self.names:
             if name not in (*outcomes, *known):
                 raise InputError(f"map: must name one of {', '.join((*known, *outcomes))}, got {name!r}.")
+        _check_units(campaign.space, table, self.names)
         words = {name: text for name, text in self.names.items() if name in outcomes}
         return table.named({name: text for name, text in self.names.items() if name not in words}, words, _OUTCOME)
 
@@ -300,6 +302,29 @@ def _known(campaign: Campaign) -> list[str]:
     """The names of the columns that a table of results may have."""
     simulator, space = campaign.simulator, campaign.space
     return [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *space.names, *space.fixed]
+
+
+def _check_units(space: DesignSpace, table: Table, names: Mapping[str, str]) -> None:
+    """Check that columns whose titles state another unit than the variable's have a factor; without one, no percent.
+
+    Raises:
+        InputError: naming both.
+    """
+    units = {one.name: one.unit for one in space.parameters}
+    for name, text in names.items():
+        known = units.get(name, "")
+        title = re.fullmatch(rf".*[\[(]\s*(.*?)\s*[\])]|{re.escape(name)}_(\w+)", text, re.IGNORECASE)
+        if (
+            title
+            and text in table.columns
+            and (title[1] or title[2]) != known
+            and (known or (title[1] or title[2]) == "%")
+        ):
+            own = f"{name} [{known}]" if known else name
+            raise InputError(
+                f"map: {text!r} may have another unit than {own}: write a factor, such as {text}/1000; with {text}*1 "
+                "it is the same."
+            )
 
 
 def _way(name: str, column: str) -> str:

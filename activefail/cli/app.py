@@ -76,19 +76,26 @@ def _show_log(stream: TextIO) -> None:
 
 
 def _main() -> None:
+    output = sys.stdout
     try:
         with repeating_missed_ctrl_c():
-            app()
+            try:
+                app()
+            finally:
+                # Here its errors have a message; Python's own flush, at the exit, would end with code 120.
+                if output is not None:
+                    output.flush()
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)
     except ImportError as error:
         _end(f"cannot load a library: {error}. Check that it is installed and that memory is sufficient.", 1)
     except MemoryError:
         _end("out of memory; recorded simulations are safe", 1)
-    except BrokenPipeError:
+    except BrokenPipeError as error:
         # For example, piped into `head`.
         _silence()
-        print("activefail: stopped: the output pipe was closed; recorded simulations are safe", file=sys.stderr)
+        if error.errno is None:
+            print("activefail: stopped: the output pipe was closed; recorded simulations are safe", file=sys.stderr)
         sys.exit(1)
     except OSError as error:
         if error.filename == OUTPUT:

@@ -66,6 +66,12 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
             yield "simulator", f"the program {simulator.command}"
             for file, names in simulator.filled.items():
                 yield "template", f"{file} is filled in with {', '.join(names)}"
+            if lost := simulator.unnamed:
+                yield (
+                    "warning",
+                    f"neither the command nor a template names {', '.join(lost)}; the program must read design.json or "
+                    f"$AF_{lost[0]}",
+                )
         case _:
             bearing = "the double friction pendulum bearing"
             yield "simulator", "elsewhere; nothing is simulated here" if campaign.is_elsewhere else bearing

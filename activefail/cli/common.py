@@ -139,8 +139,8 @@ def show_stage(text: str) -> None:
 
 
 def show_unseen(summary: "Summary") -> None:
-    """Print a warning to the error stream if an outcome has no simulation."""
-    show_warnings([summary.unseen_warning])
+    """Print warnings to the error stream if an outcome has no simulation, or a margin may be a flag."""
+    show_warnings([summary.unseen_warning, summary.flag_warning])
 
 
 def show_warnings(warnings: Iterable[str]) -> None:

@@ -249,7 +249,8 @@ class _Handler(BaseHTTPRequestHandler):
         # A proxy may replace the Host; browsers then still say whose page asks.
         is_own = self.headers.get("Sec-Fetch-Site") == "same-origin"
         if not is_own and origin not in (None, f"http://{host}", f"https://{host}"):
-            raise _RefusedError(HTTPStatus.FORBIDDEN, "Requests from other sites are refused.")
+            text = "Requests from other sites are refused. A proxy over http must keep the Host header."
+            raise _RefusedError(HTTPStatus.FORBIDDEN, text)
         try:
             self.url = urlsplit(self.path)
         except ValueError:

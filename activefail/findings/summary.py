@@ -99,6 +99,7 @@ class Summary:
         in_flight: ids of the designs in flight.
         elsewhere: how many of them are simulated elsewhere.
         corrected: number of corrections.
+        flag: the only margin, if all its values are 0 or 1, and both occur; otherwise empty.
     """
 
     settings: CampaignSettings
@@ -110,6 +111,7 @@ class Summary:
     in_flight: tuple[int, ...]
     elsewhere: int
     corrected: int = 0
+    flag: str = ""
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -185,6 +187,14 @@ class Summary:
             "begins."
         )
 
+    @property
+    def flag_warning(self) -> str:
+        """The warning about a margin that may be a flag, whose 1 would mean safety; empty if there is none."""
+        return self.flag and (
+            f"All margins {visible(self.flag)} are 0 or 1, like a flag. A margin at its level or below fails, so 0 is "
+            "not safety; return the outcome in place of a flag."
+        )
+
     @classmethod
     def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked, corrected: int = 0) -> Self:
         """The summary of a campaign's simulations and the designs that were handed out.
@@ -195,6 +205,7 @@ class Summary:
             corrected: number of its corrections.
         """
         flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
+        is_flag = len(schema.margins) == 1 and {*history.margins[history.outcome >= 0, 0].tolist()} == {0.0, 1.0}
         initial, given = history.initial, history.origin == GIVEN
         return cls(
             settings,
@@ -206,6 +217,7 @@ class Summary:
             tuple(flight.id.tolist()),
             int((flight.loop == 0).sum()),
             corrected,
+            schema.margins[0] if is_flag else "",
         )
 
 

@@ -74,6 +74,9 @@ _MODULE = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*")
 _TEXT = re.compile(r"[./]*([^\W\d]\w*(?:[./][^\W\d]\w*)*)([./]?)")
 """A text that may name a module or its file, or begin such a name."""
 
+_LOADERS = {"import_module", "__import__", "run_module", "run_path", "spec_from_file_location", "exec"}
+"""Functions that may load a module whose name is computed."""
+
 _compiled: dict[Path, str] = {}
 """Digests of the compiled modules that this process has loaded."""
 
@@ -134,7 +137,7 @@ def sources_of(path: Path, folder: Path) -> dict[Path, str]:
     """Digests of a module's file and of all files in the folder that it imports, directly or not; empty without a file.
 
     A text that could be the name of a module counts as an import, also as the beginning of a name that is computed.
-    What a compiled module imports cannot be read: all modules beside it count.
+    Where imports cannot be read, in a compiled module or one that computes names, all modules beside it count.
     """
     importlib.invalidate_caches()
     digests: dict[Path, str] = {}
@@ -177,4 +180,6 @@ def _names_imported(tree: ast.Module, package: tuple[str, ...]) -> set[str]:
             case ast.Constant(value=str(text)) if match := _TEXT.fullmatch(text):
                 name = match[1].replace("/", ".") + (".*" if match[2] else "")
                 names |= {name, ".".join((*package, name))}
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.alias(name=name) if name in _LOADERS:
+                names |= {"*", ".".join((*package, "*"))}
     return names

@@ -24,7 +24,15 @@ from activefail.numerals import number_of_program
 from activefail.parameter import exact
 from activefail.simulators.code_folder import files_of, sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
-from activefail.simulators.placeholders import PATHS, arguments, check_command, check_file, filled_file, words_of
+from activefail.simulators.placeholders import (
+    PATHS,
+    arguments,
+    check_command,
+    check_file,
+    filled_file,
+    named_in,
+    words_of,
+)
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
@@ -39,8 +47,8 @@ LARGEST_ANSWER = 1_000_000
 _LARGEST_OUTPUT = 100_000_000
 """Most bytes in a file that a pattern is searched in."""
 
-_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD][+-]?|(?<![\w-])[-−])\Z")
-_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD]?[+-]?\d")
+_CUT_BEFORE = re.compile(r"(?:\d|\.|\d[eEdD][+-]?|(?<![\w-])[-−]|[=:]\s*[-−]\s*)\Z")
+_CUT_AFTER = re.compile(r"\d|[.,]\d|#|[eEdD]?[+-]?\d|[-−](?!\w)|\s*[*x×·]\s*10\s*(?:\^|\*\*)")
 """What is before and after a match that is only a part of a number."""
 
 _OWN_FILES = ("design.json", "stdout.txt", "stderr.txt", "answer.json")
@@ -124,7 +132,8 @@ class CommandSimulator:
     def digest(self) -> str:
         """Of the files in `here` that decide results: templates, copies, and what the command names.
 
-        These are files, folders with a slash in `here`, and modules, with what they import from their folder or `here`.
+        These are files, folders with a slash in `here`, and modules, with what they import from their folder or `here`,
+        and files in `here` that other files name, such as a shell's script.
         """
         here, words = self.here, words_of(self.command)
         assert here is not None
@@ -133,8 +142,13 @@ class CommandSimulator:
         paths = [here / name for name in (*self.templates, *self.copies, *named) if not os.path.isabs(name)]
         files = [file for path in paths for file in ([path] if os.path.isfile(path) else path.rglob("*"))]
         digests: dict[Path, str] = {}
-        for file in filter(Path.is_file, files):
-            digests |= sources_of(file, file.parent) if file.suffix == ".py" else {file: sha256(file.read_bytes())}
+        for file in filter(Path.is_file, files):  # the list grows
+            if file.suffix == ".py":
+                digests |= sources_of(file, file.parent)
+            elif file not in digests:
+                content = file.read_bytes()
+                digests[file] = sha256(content)
+                files += named_in(content[:LARGEST_ANSWER].decode(errors="replace"), here)
         for file in files_of([name for word in words for name in (word, f"{word}.__main__")], here):
             digests |= sources_of(file, here)
         lines = [f"{os.path.relpath(file, self.here)} {digest}\n" for file, digest in sorted(digests.items())]
@@ -156,6 +170,13 @@ class CommandSimulator:
                 reason = f"cannot be read: {reason_of(error)}" if isinstance(error, OSError) else str(error)
                 raise InputError(f"simulator.template: {file}: {reason}.") from None
         return asked
+
+    @property
+    def unnamed(self) -> list[str]:
+        """The variables that neither the command nor a template names, although it names others or there is one."""
+        named = {*itertools.chain(*self.filled.values()), *re.findall(r"(?:\{|AF_)(\w+)", self.command)}
+        names = self.space.names
+        return [name for name in names if name not in named] if self.templates or named & {*names} else []
 
     def _template(self, file: str) -> str:
         assert self.here is not None
@@ -301,7 +322,7 @@ def _matched(pattern: str, path: Path) -> float:
     Raises:
         UnusableAnswerError: if there is none.
     """
-    text = _read(path, _LARGEST_OUTPUT).decode(errors="replace")
+    text = _read(path, _LARGEST_OUTPUT).decode(errors="replace").replace("\r\n", "\n")
     *_, found = None, *re.finditer(pattern, text, re.MULTILINE)
     if found is None:
         raise UnusableAnswerError(f"{path.name} has no match of simulator.pattern, {pattern!r}")

@@ -17,6 +17,7 @@ PATHS = {"here": "AF_HERE", "out": "AF_OUT"}
 """Placeholders of a command that are paths, and the environment variables that have the same value."""
 
 _SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
+_OPERATORS = ("|", "||", "&", "&&", ";", "<", ">", ">>", "2>", "2>&1", "&>")
 _WITH_SHELL = ("flock", "su", "runuser", "sg", "script")
 """Programs that give a shell what follows their option -c, also after operands."""
 
@@ -61,6 +62,8 @@ def check_command(command: str, quantities: Mapping[str, Value]) -> None:
         if not parts:
             raise ValueError("must name a program")
         for part in parts:
+            if part in _OPERATORS:
+                raise ValueError(f"runs without a shell, to which {part} means something; write sh -c '...'")
             if variable := re.search(r"\$\{(\w+)", part):
                 raise ValueError(f"write ${{{{{variable[1]}}}}} for the shell's own variable, or $AF_{variable[1]}")
             for _, name, form, _ in string.Formatter().parse(part):
@@ -185,6 +188,15 @@ def filled_file(text: str, design: Mapping[str, Value]) -> str:
         return format(_value(design[found[1]]), found[2] or "") if found[1] in design else found[0]
 
     return _IN_FILE.sub(filled, text)
+
+
+def named_in(text: str, folder: Path) -> list[Path]:
+    """The files in a folder that a script names, also below another folder, $here/a.tcl, but not where output goes."""
+    beside, found = {path.name for path in folder.iterdir()}, set()
+    for word in set(re.split(r"[^\w./+-]+", re.sub(r">\s*\S+", " ", text))):
+        parts = word.split("/")
+        found |= {folder.joinpath(*parts[k:]) for k, part in enumerate(parts) if part in beside}
+    return [path for path in sorted(found) if path.is_file()]
 
 
 def words_of(command: str) -> set[str]:

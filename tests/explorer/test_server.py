@@ -115,6 +115,9 @@ def test_another_site_s_page_may_not_ask(server):
     own = f"http://127.0.0.1:{server.server_address[1]}"
     assert ask(server, "predict", {"point": POINT}, Origin=own).status == 200
     assert ask(server, "predict", {"point": POINT}, Content_Type="text/plain").status == 415
+    # Over http, browsers send no Sec-Fetch-Site to other names than localhost.
+    answer = ask(server, "predict", {"point": POINT}, Origin="http://hub.example")
+    assert "must keep the Host header" in answer.text
     # A proxy replaced the Host; only a browser can say so.
     for site, status in (("same-origin", 200), ("same-site", 403), ("cross-site", 403)):
         asked = {"Origin": "https://hub.example", "Sec-Fetch-Site": site}

@@ -732,6 +732,27 @@ def test_what_a_command_names_in_any_way_is_in_the_digest_of_its_code(tmp_path: 
 
 
 @pytest.mark.parametrize(
+    "script", ["python3 part.py", "source $here/lib/a.tcl", "*INCLUDE, INPUT=mesh.inp", "./two.sh"]
+)
+def test_what_a_script_names_is_in_the_digest(tmp_path: Path, script: str) -> None:
+    (tmp_path / "lib").mkdir()
+    for name, text in {"part.py": "import other", "lib/a.tcl": "", "mesh.inp": "", "two.sh": "cat mesh.inp"}.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "run.sh").write_text(f"{script} > $AF_HERE/log\n")
+
+    def digest() -> str:
+        return made(tmp_path, templates=(), command="sh {here}/run.sh").digest()
+
+    before = digest()
+    (tmp_path / "log").write_text("more\n")
+    (tmp_path / "plot.py").touch()
+    assert digest() == before
+    for name in ("other.py", "lib/a.tcl", "mesh.inp"):
+        (tmp_path / name).write_text("limit = 2\n")
+    assert digest() != before
+
+
+@pytest.mark.parametrize(
     ("printed", "pattern"),
     [
         ("g = 0.123-105", r"g = ([\d.]+)"),
@@ -741,11 +762,22 @@ def test_what_a_command_names_in_any_way_is_in_the_digest_of_its_code(tmp_path: 
         ("g = -7.142857e-02", r"([-\d.]+)"),
         ("g = 0,5", r"g = ([-\d.]+)"),
         ("g = 1.#INF", r"g = ([-\d.]+)"),
+        ("g = - 0.5", r"g = .*?([\d.]+)"),
+        ("g = 0.5-", r"g = ([\d.]+)"),
+        ("g = 1.5*10^-3", r"g = ([\d.]+)"),
+        ("g = 1.5 x 10^-3", r"g = (\S+)"),
+        ("g = 1.5·10**-3", r"g = ([\d.]+)"),
     ],
 )
 def test_a_pattern_that_matches_a_part_of_a_number_gives_no_answer(tmp_path: Path, printed: str, pattern: str) -> None:
     results = answer(made(tmp_path, templates=(), command=f"echo '{printed}'", pattern=pattern), X[:1])
     assert "simulator.pattern: must match whole numbers" in results.faults[0]
+
+
+def test_a_line_may_end_as_on_windows_and_a_dash_may_be_no_sign(tmp_path: Path) -> None:
+    for printed, pattern in (("g = 4\\r", "^g = (\\d)$"), ("g - 4 mm", "g - (\\S+)"), ("4 - 5", "([\\d.]+) - 5")):
+        results = answer(made(tmp_path, templates=(), command=f"printf '{printed}\\n'", pattern=pattern), X[:1])
+        assert results.margins.tolist() == [[4.0]], results.faults
 
 
 def test_a_number_of_fortran_needs_no_e(tmp_path: Path) -> None:
@@ -762,6 +794,8 @@ def test_what_was_copied_is_no_answer_and_no_output_lies_outside(tmp_path: Path)
         ({"output": str(tmp_path / "shared.out")}, "must be a file in the folder of the run"),
         ({"output": "../shared.out"}, "must be a file in the folder of the run"),
         ({"work": tmp_path / "results" / "run"}, "results must not hold the run folder"),
+        ({"command": "model {drift} > {out}"}, "runs without a shell, to which > means something; write sh -c"),
+        ({"command": "cd {here} && ./model"}, "runs without a shell, to which && means"),
         ({"command": "sh -c 'x=1; echo ${x}'"}, r"write \$\{\{x\}\} for the shell's own variable, or \$AF_x"),
     ):
         with pytest.raises(InputError, match=says):

@@ -82,6 +82,8 @@ IMPORTS = {
     "from parts import *": "parts/helper",
     "import importlib\nnames = [f'parts.{name}' for name in 'ab']": "parts/helper",
     "from importlib import import_module as load\nload(name='helper')": "helper",
+    "import importlib\nimportlib.import_module('hel' + 'per')": "helper",
+    "from importlib import import_module as load\ndef run(x):\n    load(x['model'])": "helper",
     "import runpy\nrunpy.run_path('./parts/helper.py')": "parts/helper",
     "def late():\n    import helper": "helper",
 }
