@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from activefail.comparison.equivalent import ComparisonFindings
     from activefail.execution.executor import Executor
     from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
+    from activefail.intensity import Intensity
     from activefail.report.evidence import ReportFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
     from activefail.risk.ida.findings import IdaFindings
-    from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
     from activefail.risk.ida.simulations import Values
     from activefail.risk.sensitivity.findings import SensitivityFindings
@@ -419,8 +419,8 @@ class IdaRequest(Request["IdaFindings"]):
     def answer(self, run: "Run | None" = None) -> "IdaFindings":
         from activefail.accelerogram_sets import RecordSet, read_record_set
         from activefail.bearing.design import Model, Tolerance
+        from activefail.intensity import Intensity
         from activefail.risk.ida.calculation import analysis
-        from activefail.risk.ida.intensity import Intensity
         from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, campaign_of, values_under_records
 
         if run is not None and not self.pulses:

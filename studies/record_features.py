@@ -20,9 +20,9 @@ from activefail.bearing import outcome as o
 from activefail.bearing import simulate_records
 from activefail.campaign.settings import read_settings
 from activefail.features import CustomFeatures, feature_map
+from activefail.intensity import spectral_acceleration
 from activefail.risk.ida.collapse import jackknife
 from activefail.risk.ida.equivalent_pulse import equivalent_pulse
-from activefail.risk.ida.intensity import spectral_acceleration
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.training import train
 

@@ -21,12 +21,12 @@ from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
+from activefail.intensity import Intensity, spectral_acceleration
 from activefail.json_text import json_text
 from activefail.risk.ida import simulations as module
 from activefail.risk.ida.capacity import Agreement, Answers, Capacities, Runs, capacities, ladder
 from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, Kept
 

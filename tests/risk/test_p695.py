@@ -13,8 +13,8 @@ from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida import simulations
-from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import (
     MarginOptions,
     MarginRequest,

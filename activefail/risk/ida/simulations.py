@@ -210,16 +210,6 @@ def values_under_records(campaign: Campaign, values: Values, records: int) -> di
     return known
 
 
-def digest_of(records: Sequence[Accelerogram]) -> str:
-    """SHA-256 of the samples and intervals of records, in their order."""
-    digest = hashlib.sha256()
-    for one in records:
-        vertical = np.empty(0) if one.vertical is None else one.vertical
-        sizes = [one.dt, len(one.acceleration), len(vertical)]
-        digest.update(np.concatenate([sizes, one.acceleration, vertical]).tobytes())
-    return digest.hexdigest()
-
-
 _PART = 100
 """Simulations after which the file is written: an interruption loses fewer."""
 
