@@ -100,6 +100,11 @@ class RecordSet:
         return len({record.event for record in self.records})
 
     @property
+    def digest(self) -> str:
+        """SHA-256 of the records (`digest_of`)."""
+        return digest_of([record.motion for record in self.records])
+
+    @property
     def has_vertical(self) -> bool:
         """Whether the records have vertical components."""
         return any(record.motion.vertical is not None for record in self.records)

@@ -288,19 +288,21 @@ def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], spa
 
 
 def _under_records(space: DesignSpace, payload: Payload, column: int, model: Model | None) -> FeatureMap:
-    """The variables, and the features of the bearing's cheap models under the scaled records of a variable."""
+    """The other variables, and the features of the bearing's cheap models under the scaled records of a variable."""
     of_bearing = TABLE_1.names[:7]
     _check_bearing("collision", space, of_bearing)
+    others = DesignSpace((*space.parameters[:column], *space.parameters[column + 1 :]), space.fixed)
 
-    def physics(X: Array) -> Array:
+    def raw(X: Array) -> Array:
         # A question about one bearing repeats few designs.
         rows, place = np.unique(X, axis=0, return_inverse=True)
         which = rows[:, column].astype(np.intp)
         motions = [record.motion for record in payload()]
         factors = payload.factors(which, _quantities(space, rows))
-        return record_features(space.table(rows, of_bearing), motions, which, factors, model)[place]
+        physics = record_features(space.table(rows, of_bearing), motions, which, factors, model)
+        return np.column_stack([variable_columns(others, np.delete(X, column, axis=1)), physics[place]])
 
-    return _joined(RECORD_FEATURES, physics, space)
+    return _scaled((*_mapped("design", others, None).names, *RECORD_FEATURES), raw, space, _logarithms(others))
 
 
 def _joined(

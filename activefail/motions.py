@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.accelerogram_sets import RecordSet, SetRecord, digest_of, read_record_set
+from activefail.accelerogram_sets import RecordSet, SetRecord, read_record_set
 from activefail.errors import InputError, naming
 from activefail.intensity import Intensity
 from activefail.space import Array
@@ -44,7 +44,12 @@ class Motions:
         Raises:
             InputError: if they cannot be read, or are others than the digest says.
         """
-        return _read(self).records
+        return self.found.records
+
+    @property
+    def found(self) -> RecordSet:
+        """The set; raises as a call does."""
+        return _read(self)
 
     def factors(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
         """By what the record of each design is multiplied, (n,).
@@ -82,11 +87,10 @@ class Motions:
 @cache
 def _read(motions: Motions) -> RecordSet:
     found = read_motions(motions.variable, motions.place, motions.unit, motions.dt)
-    digest = digest_of([record.motion for record in found.records])
-    if digest != motions.digest:
+    if found.digest != motions.digest:
         raise InputError(
             f"space.{motions.variable}.set: the records of {motions.place} are not those of the campaign: their digest "
-            f"is {digest}, not {motions.digest}. Restore them, or begin a new campaign."
+            f"is {found.digest}, not {motions.digest}. Restore them, or begin a new campaign."
         )
     return found
 

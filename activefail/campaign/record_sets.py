@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-from activefail.accelerogram_sets import digest_of
 from activefail.campaign.sections import SetVariable
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
@@ -27,12 +26,11 @@ def with_records(settings: CampaignSettings, folder: Path | None) -> CampaignSet
             beside = (folder or Path.cwd()) / entry.set
             place = str(beside.absolute()) if beside.exists() else entry.set
             found = read_motions(name, place, entry.unit, entry.dt)
-            digest = digest_of([record.motion for record in found.records])
             events = {record.name: record.event for record in found.records}
-            known = entry.model_copy(update={"set": place, "digest": entry.digest or digest, "records": events})
+            known = entry.model_copy(update={"set": place, "digest": found.digest, "records": events})
             fault = known.fault
-            if entry.digest not in (None, digest):
-                fault = f"the digest of {entry.set} must be {entry.digest}, as `digest` says, got {digest}"
+            if entry.digest not in (None, found.digest):
+                fault = f"the digest of {entry.set} must be {entry.digest}, as `digest` says, got {found.digest}"
             if len(events) < len(found.records):
                 fault = f"the {len(found.records)} records of {entry.set} must have different names"
             if fault:
