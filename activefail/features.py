@@ -37,6 +37,9 @@ def paper_features(X: Array) -> Array:
     return np.column_stack([pulse_displacement / D_tot, T_b / T_p, mu / A_p, h_sl_ratio, h_rim_ratio, stiffness])
 
 
+_EQUAL = 1e-3
+"""Standard deviation of the logarithm of an intensity below which all records count as equally intense."""
+
 _LEAST_PART = 64
 """Fewest designs per thread: computing their features takes about 10 ms."""
 
@@ -88,6 +91,8 @@ class FeatureMap:
         # A fixed sample: the scaling belongs to the feature set's definition and must not depend on a campaign's seed.
         X = self.space.sobol(4096, np.random.default_rng(0))
         F = self._transformed(X)
+        payloads = (one.payload for one in self.space.parameters)
+        of_sets = {name for payload in payloads if payload is not None for name in payload.feature_names}
         for column, name in enumerate(self.names):
             bad = np.flatnonzero(~np.isfinite(F[:, column]))
             if len(bad):
@@ -95,12 +100,14 @@ class FeatureMap:
                     f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
                     f"for {self.space.written(dict(zip(self.space.names, X[bad[0]].tolist(), strict=True)))}."
                 )
-            if np.ptp(F[:, column]) == 0.0:
+            if np.ptp(F[:, column]) == 0.0 and name not in of_sets:
                 raise InputError(
                     f"classifier.features: {name} must vary over the space, got {F[0, column]} everywhere."
                 )
         with np.errstate(all="ignore"):  # reported below
             center, spread = F.mean(axis=0), F.std(axis=0)
+            # Records may have been scaled to one intensity, which then says nothing: unscaled, it stays so.
+            spread[np.isin(self.names, [*of_sets]) & (spread < _EQUAL)] = 1.0
             scaled = (F - center) / spread
         for column, name in enumerate(self.names):
             # Squares of tiny differences underflow, and those of huge ones overflow.
