@@ -562,13 +562,13 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
     settings = (plate / "plate.toml").read_text()
     for old, new, message in (
         ("high = 8.0", "high = 7.0", "--records: must be the 7 records of the campaign, got 8."),
-        ("PGV", "velocity", "--simulator: must be a campaign under records, with the variables record and PGV"),
+        ("PGV", "velocity", "with a variable that has a `set`, or the variables record and PGV; got"),
     ):
         (plate / "other.toml").write_text(settings.replace(old, new))
         refused(activefail(*words, plate / "other.toml"), message)
     for options, message in (
         (("--pulses",), "--simulator cannot be combined with --pulses."),
-        (("--scale-to", "pga"), "--scale-to: must be pgv with --simulator, got 'pga'."),
+        (("--scale-to", "pga"), "--scale-to: must be pgv with this --simulator, got 'pga'."),
     ):
         refused(activefail(*words, plate / "plate.toml", *options), message)
 

@@ -229,7 +229,7 @@ def campaign_of(file: str | Path) -> tuple[str, Campaign]:
         InputError: naming the file, the key, the rule and the value.
     """
     file = campaign_file(Path(file))
-    campaign = read_campaign(file, code=file.absolute().parent, features=False)
+    campaign = read_campaign(file, code=file.absolute().parent, features=False, frozen=True)  # no features are needed
     campaign.check_simulates()
     return file.name, campaign
 
