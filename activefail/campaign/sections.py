@@ -189,8 +189,8 @@ class SetVariable(Section):
     """A variable whose values are the records of a set of ground motions, without order.
 
     Attributes:
-        set: a set of FEMA P695, farfield, nearfield, nearfield-pulse or nearfield-no-pulse; or a folder of records, from
-            the folder of the campaign file.
+        set: a set of FEMA P695 (farfield, nearfield, nearfield-pulse or nearfield-no-pulse), or a folder of records
+            beside the campaign file.
         unit: unit of accelerations in files that state none: g, m/s2, cm/s2 or mm/s2.
         dt: interval of samples in files that state none [s].
         scaled_to: the variable or fixed quantity to which each record is scaled, with the intensity that it is: factor,
