@@ -1,6 +1,7 @@
 """Sets of ground-motion records: a folder of files with an optional table, a PEER download, or those of FEMA P695."""
 
 import csv
+import hashlib
 import math
 import os
 import re
@@ -65,6 +66,11 @@ class SetRecord:
     motion: Accelerogram
     event: str
 
+    @property
+    def name(self) -> str:
+        """Its name in the set."""
+        return self.motion.name
+
 
 @dataclass(frozen=True)
 class RecordSet:
@@ -92,6 +98,11 @@ class RecordSet:
     def events(self) -> int:
         """Number of different events."""
         return len({record.event for record in self.records})
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the records (`digest_of`)."""
+        return digest_of([record.motion for record in self.records])
 
     @property
     def has_vertical(self) -> bool:
@@ -188,6 +199,16 @@ def read_record_set(
     )
     unused = 0 if vertical else len(verticals)
     return RecordSet(folder.name, records, events.count(None), left_out, unused=unused, understood=understood)
+
+
+def digest_of(records: Sequence[Accelerogram]) -> str:
+    """SHA-256 of the samples and intervals of records, in their order."""
+    digest = hashlib.sha256()
+    for one in records:
+        vertical = np.empty(0) if one.vertical is None else one.vertical
+        sizes = [one.dt, len(one.acceleration), len(vertical)]
+        digest.update(np.concatenate([sizes, one.acceleration, vertical]).tobytes())
+    return digest.hexdigest()
 
 
 def _p695(name: str) -> RecordSet:

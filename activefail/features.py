@@ -2,22 +2,24 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import Expression, parse_expression, parsed_name
 from activefail.names import FeatureSet
-from activefail.parameter import Parameter
+from activefail.parameter import Parameter, Payload
 from activefail.space import Array, DesignSpace
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
@@ -34,6 +36,9 @@ def paper_features(X: Array) -> Array:
     stiffness = k / (p * 1e6 * pulse_displacement**0.5)
     return np.column_stack([pulse_displacement / D_tot, T_b / T_p, mu / A_p, h_sl_ratio, h_rim_ratio, stiffness])
 
+
+_EQUAL = 1e-3
+"""Standard deviation of the logarithm of an intensity below which all records count as equally intense."""
 
 _LEAST_PART = 64
 """Fewest designs per thread: computing their features takes about 10 ms."""
@@ -86,6 +91,8 @@ class FeatureMap:
         # A fixed sample: the scaling belongs to the feature set's definition and must not depend on a campaign's seed.
         X = self.space.sobol(4096, np.random.default_rng(0))
         F = self._transformed(X)
+        payloads = (one.payload for one in self.space.parameters)
+        of_sets = {name for payload in payloads if payload is not None for name in payload.feature_names}
         for column, name in enumerate(self.names):
             bad = np.flatnonzero(~np.isfinite(F[:, column]))
             if len(bad):
@@ -93,12 +100,14 @@ class FeatureMap:
                     f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
                     f"for {self.space.written(dict(zip(self.space.names, X[bad[0]].tolist(), strict=True)))}."
                 )
-            if np.ptp(F[:, column]) == 0.0:
+            if np.ptp(F[:, column]) == 0.0 and name not in of_sets:
                 raise InputError(
                     f"classifier.features: {name} must vary over the space, got {F[0, column]} everywhere."
                 )
         with np.errstate(all="ignore"):  # reported below
             center, spread = F.mean(axis=0), F.std(axis=0)
+            # Records may have been scaled to one intensity, which then says nothing: unscaled, it stays so.
+            spread[np.isin(self.names, [*of_sets]) & (spread < _EQUAL)] = 1.0
             scaled = (F - center) / spread
         for column, name in enumerate(self.names):
             # Squares of tiny differences underflow, and those of huge ones overflow.
@@ -221,6 +230,9 @@ def _mapped(
             _check_bearing(features, space)
             return _with_physics(SLIDING_FEATURES, lambda table: sliding_features(table, model), space)
         case "collision":
+            for column, one in enumerate(space.parameters):
+                if one.payload is not None:
+                    return _under_records(space, one.payload, column, model)
             _check_bearing(features, space)
             return _with_physics(
                 (*SLIDING_FEATURES, *COLLISION_FEATURES),
@@ -235,8 +247,8 @@ def _mapped(
             raise InputError(f"`features` must be paper, design, decorrelated, sliding or collision, got {features!r}.")
 
 
-def _check_bearing(features: str, space: DesignSpace) -> None:
-    for name in TABLE_1.names:
+def _check_bearing(features: str, space: DesignSpace, names: Sequence[str] = TABLE_1.names) -> None:
+    for name in names:
         if name not in (*space.names, *space.fixed):
             raise InputError(
                 f"classifier.features: {features!r} requires the variables of a bearing, but space lacks the variable "
@@ -282,6 +294,24 @@ def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], spa
     return _joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space)
 
 
+def _under_records(space: DesignSpace, payload: Payload, column: int, model: Model | None) -> FeatureMap:
+    """The other variables, and the features of the bearing's cheap models under the scaled records of a variable."""
+    of_bearing = TABLE_1.names[:7]
+    _check_bearing("collision", space, of_bearing)
+    others = DesignSpace((*space.parameters[:column], *space.parameters[column + 1 :]), space.fixed)
+
+    def raw(X: Array) -> Array:
+        # A question about one bearing repeats few designs.
+        rows, place = np.unique(X, axis=0, return_inverse=True)
+        which = rows[:, column].astype(np.intp)
+        motions = [record.motion for record in payload()]
+        factors = payload.factors(which, _quantities(space, rows))
+        physics = record_features(space.table(rows, of_bearing), motions, which, factors, model)
+        return np.column_stack([variable_columns(others, np.delete(X, column, axis=1)), physics[place]])
+
+    return _scaled((*_mapped("design", others, None).names, *RECORD_FEATURES), raw, space, _logarithms(others))
+
+
 def _joined(
     names: tuple[str, ...], further: Callable[[Array], Array], space: DesignSpace, variables: bool = True
 ) -> FeatureMap:
@@ -296,17 +326,32 @@ def _joined(
 
 
 def _names_of(parameter: Parameter) -> tuple[str, ...]:
-    """The names of a variable's features: of choices, one for each, or for the second of two."""
+    """The names of a variable's features: of choices, one for each, or for the second of two; of records theirs."""
+    if parameter.payload is not None:
+        return parameter.payload.feature_names
     choices = parameter.choices[len(parameter.choices) == 2 :]
     return tuple(f"{parameter.name}={choice}" for choice in choices) if choices else (parameter.name,)
 
 
 def variable_columns(space: DesignSpace, X: Array) -> Array:
-    """The variables of designs, (n, d), as features, (n, m): choices as 0 and 1, one column for each."""
+    """The variables of designs, (n, d), as features, (n, m).
+
+    Choices are 0 and 1, one column for each; records are their intensities.
+    """
     if not any(parameter.choices for parameter in space.parameters):
         return np.asarray(X)
-    pairs = zip(space.parameters, np.asarray(X).T, strict=True)
-    return np.column_stack([p.indicators(x) if p.choices else x for p, x in pairs])
+    quantities = _quantities(space, X)
+
+    def columns_of(one: Parameter, x: Array) -> Array:
+        if one.payload is not None:
+            return one.payload.features(x.astype(np.intp), quantities)
+        return one.indicators(x) if one.choices else x
+
+    return np.column_stack([columns_of(one, x) for one, x in zip(space.parameters, np.asarray(X).T, strict=True)])
+
+
+def _quantities(space: DesignSpace, X: Array) -> dict[str, Any]:
+    return space.quantities(dict(zip(space.names, np.asarray(X, dtype=np.float64).T, strict=True)))
 
 
 def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
@@ -347,7 +392,7 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
             raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
 
     def further(X: Array) -> Array:
-        quantities = space.quantities(dict(zip(space.names, np.asarray(X, dtype=np.float64).T, strict=True)))
+        quantities = _quantities(space, X)
         with np.errstate(all="ignore"):  # `scaling` reports values that are not finite
             return np.column_stack([np.broadcast_to(one(quantities), len(X)) for one in expressions])
 
@@ -357,7 +402,11 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
     """Whether each variable, or each of its columns, enters as its logarithm."""
     names = ("log_uniform", "lognormal")
-    return tuple(p.distribution in names and p.low > 0.0 for p in space.parameters for _ in _names_of(p))
+    return tuple(
+        p.payload is not None or (p.distribution in names and p.low > 0.0)
+        for p in space.parameters
+        for _ in _names_of(p)
+    )
 
 
 def _scaled(

@@ -12,7 +12,7 @@ Kernel = Literal["rbf", "matern52"]
 """Covariance of a latent (`activefail.surrogate.covariance`): squared exponential (the paper's) or Matérn-5/2."""
 
 IntensityKind = Literal["factor", "pga", "pgv", "sa", "p695"]
-"""Measures of a record's intensity (`activefail.risk.ida.intensity`)."""
+"""Measures of a record's intensity (`activefail.intensity`)."""
 
 
 class Measure(NamedTuple):

@@ -2,12 +2,12 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,18 +83,18 @@ def exact(value: Choice) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-_MOST_CHOICES = 100
-"""Most choices: each is a feature of the classifier."""
+MOST_CHOICES = 100
+"""Most choices that are features of the classifier, each by itself."""
 
 _LABEL = re.compile(r"""[^\W_](?:[^"'`\\$;|&<>*?!{}]*[^"'`\\$;|&<>*?!{}\s])?""")
 """A text among choices. Spreadsheets, shells and templates take it for nothing else."""
 
 
-def choices_fault(choices: Sequence[Choice], probabilities: Sequence[float]) -> str:
+def choices_fault(choices: Sequence[Choice], probabilities: Sequence[float], most: int = MOST_CHOICES) -> str:
     """Why choices and their probabilities, if there are any, do not define a variable; empty if they do."""
     listed = list(choices)
-    if not 2 <= len(listed) <= _MOST_CHOICES:
-        return f"`choices` must have 2 to {_MOST_CHOICES} entries, got {listed}"
+    if not 2 <= len(listed) <= most:
+        return f"`choices` must have 2 to {most} entries, got {listed}"
     if len({isinstance(one, str) for one in listed}) > 1:
         return f"`choices` must be texts or numbers, not both, got {listed}"
     for one in listed:
@@ -117,6 +117,31 @@ def choices_fault(choices: Sequence[Choice], probabilities: Sequence[float]) -> 
 
 _SUM = 1e-6
 """Largest distance of the sum of probabilities from 1."""
+
+
+class Payload(Protocol):
+    """What the choices of a variable stand for, such as the records of a set. To pickle it pickles no object."""
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """The names of the features by which the classifier sees the variable."""
+        ...
+
+    def __call__(self) -> Sequence[Any]:
+        """The object of each choice."""
+        ...
+
+    def factors(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
+        """By what the object of each design is multiplied, (n,); see `features`."""
+        ...
+
+    def in_design(self, number: int, quantities: Mapping[str, Any]) -> Any:
+        """The object of a choice, as a simulator gets it in a design with these quantities."""
+        ...
+
+    def features(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
+        """The positive features of designs, (n, m), by the number of their choice, (n,), and their quantities."""
+        ...
 
 
 def _masses(
@@ -168,6 +193,9 @@ class Parameter:
         step: distance of the values, in the unit; None if the variable is continuous.
         choices: texts or numbers; empty for other variables.
         probabilities: of the choices.
+        groups: of each choice, what it belongs to: the event of a record. Choices of one group are not independent
+            samples of their kind. None if the choices are no sample.
+        payload: what the choices stand for; None if they are nothing but texts or numbers.
 
     Raises:
         InputError: if the name is not an identifier or the numbers do not define a distribution.
@@ -183,6 +211,8 @@ class Parameter:
     step: float | None = field(default=None, repr=False)  # questions are identified by what is shown of variables
     choices: tuple[Choice, ...] = field(default=(), repr=False)
     probabilities: tuple[float, ...] = field(default=(), repr=False)
+    groups: tuple[str, ...] | None = field(default=None, repr=False)
+    payload: Payload | None = field(default=None, repr=False)
 
     @classmethod
     def of_choices(

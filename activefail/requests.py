@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from activefail.comparison.equivalent import ComparisonFindings
     from activefail.execution.executor import Executor
     from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
+    from activefail.intensity import Intensity
     from activefail.report.evidence import ReportFindings
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
     from activefail.risk.ida.findings import IdaFindings
-    from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
     from activefail.risk.ida.simulations import Values
     from activefail.risk.sensitivity.findings import SensitivityFindings
@@ -359,16 +359,18 @@ class IdaRequest(Request["IdaFindings"]):
         "variables. In Python also the values, in this order or by name.",
         Path,
     )
-    records: "RecordSet | Path | str" = option(
-        REQUIRED,
+    records: "RecordSet | Path | str | None" = option(
+        None,
         "Folder of records (docs/records.md); or farfield, nearfield, nearfield-pulse or nearfield-no-pulse of FEMA "
-        "P695.",
+        "P695. Default: those of the campaign of --simulator.",
         Path,
     )
-    scale_to: "Intensity | str" = option(
-        "pgv",
+    scale_to: "Intensity | str | None" = option(
+        None,
         f"Intensity of the levels: {', '.join(f'{kind} {of.unit}'.strip() for kind, of in INTENSITIES.items())}; sa:T "
-        "has a period [s]; p695 is one factor for all records, by their S_T(T_b).",
+        "has a period [s]; p695 is one factor for all records, by their S_T(T_b). Default: pgv, or that to which the "
+        "campaign of --simulator scales its records.",
+        str,
     )
     outcome: str | None = option(
         None,
@@ -419,9 +421,15 @@ class IdaRequest(Request["IdaFindings"]):
     def answer(self, run: "Run | None" = None) -> "IdaFindings":
         from activefail.accelerogram_sets import RecordSet, read_record_set
         from activefail.bearing.design import Model, Tolerance
+        from activefail.intensity import Intensity
         from activefail.risk.ida.calculation import analysis
-        from activefail.risk.ida.intensity import Intensity
-        from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, campaign_of, values_under_records
+        from activefail.risk.ida.simulations import (
+            BearingSubject,
+            CampaignSubject,
+            Ground,
+            campaign_of,
+            values_under_records,
+        )
 
         if run is not None and not self.pulses:
             raise InputError(
@@ -439,11 +447,22 @@ class IdaRequest(Request["IdaFindings"]):
                 "--simulator cannot be combined with options of the bearing model or --tolerance, which the campaign's "
                 "code sets."
             )
-        intensity = Intensity.of(self.scale_to) if isinstance(self.scale_to, str) else self.scale_to
-        if self.simulator is not None and intensity.kind != "pgv":
-            raise InputError(f"--scale-to: must be pgv with --simulator, got {str(self.scale_to)!r}.")
         folder = None if self.folder is None else path_of("folder", self.folder)
-        records = self.records
+        ground, records = Ground(), self.records
+        if self.simulator is not None:
+            name, campaign = campaign_of(self.simulator)
+            ground = Ground.of(campaign)
+        measure = self.scale_to or ground.measure
+        intensity = Intensity.of(measure) if isinstance(measure, str) else measure
+        if self.simulator is not None and intensity.name != Intensity.of(ground.measure).name:
+            raise InputError(f"--scale-to: must be {ground.measure} with this --simulator, got {self.scale_to!r}.")
+        if records is None:
+            if ground.records is None:
+                raise InputError("--records: required, unless a campaign of --simulator has a variable with a `set`.")
+            for option_name in ("unit", "dt"):
+                if getattr(self, option_name) is not None:
+                    raise InputError(f"--{option_name} requires --records.")
+            records = ground.records
         if not isinstance(records, RecordSet):
             if folder is not None and folder.resolve() == Path(records).resolve():
                 raise InputError(f"--out: must differ from --records, got {folder}.")
@@ -453,11 +472,10 @@ class IdaRequest(Request["IdaFindings"]):
             if self.simulator is None:
                 bearing = BearingSubject.of(self.bearing, model, tolerance, self.workers)
                 return analysis(bearing, records, *about)
-            name, campaign = campaign_of(self.simulator)
-            values = values_under_records(campaign, self.bearing, len(records.records))
+            values = values_under_records(campaign, ground, self.bearing, records)
             pool = self.executor or executor_named(campaign, self.workers, self.where, self.scheduler, self.stage)
             with nullcontext(self.executor) if self.executor else pool:
-                return analysis(CampaignSubject(name, campaign, values, pool), records, *about)
+                return analysis(CampaignSubject(name, campaign, ground, values, pool), records, *about)
         except KeyboardInterrupt:
             kept = "nothing is kept without --out" if folder is None else "the same command continues"
             raise KeyboardInterrupt(kept) from None

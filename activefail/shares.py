@@ -68,9 +68,18 @@ def interval_percent(low: float, high: float, digits: int = 2) -> str:
 
 
 def choices_with_shares(parameter: Parameter) -> str:
-    """The choices of a variable with their probabilities."""
+    """The choices of a variable with their probabilities; of records, their number."""
+    if parameter.groups is not None:
+        return records_in_words(parameter)
     shares = zip(parameter.choices, parameter.probabilities, strict=True)
     return ", ".join(f"{choice} ({percent(share)})" for choice, share in shares)
+
+
+def records_in_words(parameter: Parameter) -> str:
+    """How many records, and of how many events, a variable has with positive probability."""
+    assert parameter.groups is not None
+    possible = [group for group, share in zip(parameter.groups, parameter.probabilities, strict=True) if share > 0.0]
+    return f"{len(possible)} records of {len(set(possible))} events"
 
 
 def feasible_share(space: DesignSpace) -> str:

@@ -225,6 +225,17 @@ class DesignSpace:
         variables = {parameter.name: parameter for parameter in self.parameters}
         return {name: variables[name].written(x) if name in variables else x for name, x in values.items()}
 
+    def objects(self, X: Array, name: str) -> tuple[Sequence[Any], NDArray[np.intp]]:
+        """What the choices of a variable stand for, such as the records of a set, and which of them designs have, (n,).
+
+        Raises:
+            InputError: if its choices stand for nothing, or it is no variable; or as reading them does.
+        """
+        for one, column in zip(self.parameters, np.asarray(X).T, strict=True):
+            if one.name == name and one.payload is not None:
+                return one.payload(), column.astype(np.intp)
+        raise InputError(f"space: {name!r} is no variable with a `set`.")
+
     def row(self, x: Array) -> list[Any]:
         """A design, (d,), as people see it (see `written`)."""
         return [*self.written(dict(zip(self.names, np.asarray(x).tolist(), strict=True))).values()]

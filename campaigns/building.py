@@ -1,6 +1,6 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
-`building_records.toml` has it under ground-motion records (bearing_records.py) in place of pulses.
+`building_records.toml` has it under ground-motion records in place of pulses.
 
 The bearing is activefail's: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
 carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from bearing_records import ground_motion
 from numba import njit
 
 from activefail.bearing import Bearing, Model, Pulse
@@ -370,8 +369,7 @@ class Response(NamedTuple):
 def simulate(design, tolerance=TOLERANCE, rows=0, record=None):
     """The `Response` of a design, by the names and in the units of `building.toml`, with a history of `rows` rows.
 
-    A design without T_p and A_p is simulated under a record: `record`, an `Accelerogram`, or that of the design's
-    `record` and `PGV` (bearing_records.py).
+    A design without T_p and A_p is simulated under a record: `record`, an `Accelerogram`, or the design's own.
 
     Raises:
         RuntimeError: if the integration fails.
@@ -380,7 +378,7 @@ def simulate(design, tolerance=TOLERANCE, rows=0, record=None):
     history = np.empty((rows, 1 + 2 * (5 + n)))
     status, cause, touched, displacement, drift, floor, rim, error, steps, recorded = _integrate(
         building,
-        None if "T_p" in design else (ground_motion(design) if record is None else record).samples,
+        None if "T_p" in design else (record or design["record"].motion).samples,
         np.array([*equilibrium(building.bearing), *[0.0] * n]),
         np.zeros(5 + n),
         np.array([*SCALE_Q, *[SCALE_D] * n]),

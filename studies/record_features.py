@@ -9,24 +9,26 @@ with its interval over events (jackknife). "missed" is the share of the failures
 share of the designs without failure for which one was predicted.
 """
 
-import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from study import asked, head, line, timed
 
+from activefail.bearing import TABLE_1, simulate_records
 from activefail.bearing import outcome as o
-from activefail.bearing import simulate_records
+from activefail.campaign.record_sets import space_with_motions, with_records
 from activefail.campaign.settings import read_settings
 from activefail.features import CustomFeatures, feature_map
+from activefail.intensity import spectral_acceleration
 from activefail.risk.ida.collapse import jackknife
 from activefail.risk.ida.equivalent_pulse import equivalent_pulse
-from activefail.risk.ida.intensity import spectral_acceleration
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.training import train
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
+BEARING = TABLE_1.names[:7]
 PERIODS = np.linspace(2.0, 6.0, 17)
 
 
@@ -45,54 +47,67 @@ def measures_of(motions):
     return pulses, numbers, spectra
 
 
-def feature_sets(shipped):
-    """Features by name: functions of designs and their space."""
-    motions, _, velocities = shipped.records()
-    _, numbers, spectra = measures_of(motions)
+def feature_sets(space):
+    """Features by name: functions of designs and their space, or the names of shipped ones."""
+    column, record = space.names.index("record"), space.parameters[space.names.index("record")]
+    _, numbers, spectra = measures_of([one.motion for one in record.payload()])
+    of_design, physics = feature_map("design", space), feature_map("collision", space).raw
+    unscaled = replace(record.payload, level="", measure="factor")
 
     def without_record(X, space):
-        return np.column_stack([space.table(X, shipped.BEARING), np.log(space.table(X, ("PGV",)))])
+        return np.column_stack([space.table(X, BEARING), np.log(space.table(X, ("PGV",)))])
+
+    def as_recorded(X, space):
+        return np.column_stack([without_record(X, space), np.log(unscaled.features(X[:, column].astype(int), {}))])
 
     def intensities(X, space):
-        which = shipped.number_of(space.table(X, ("record",))[:, 0])
-        factor = space.table(X, ("PGV",))[:, 0] / velocities[which]
+        which = X[:, column].astype(int)
+        factor = record.payload.factors(which, {"PGV": space.table(X, ("PGV",))[:, 0]})
         T_b, D_tot = space.table(X, ("T_b", "D_tot")).T
         S_d = factor * np.array([np.interp(T, PERIODS, spectra[k]) for T, k in zip(T_b, which, strict=True)])
         scaled = numbers[which] + np.log(factor)[:, None] * np.array([0.0, 0.0, 1.0, 0.0])
         return np.column_stack([without_record(X, space), scaled, np.log(S_d / D_tot)])
 
+    def cheap_models(X, space):
+        return np.column_stack([np.log(of_design.raw(X)[:, 7:-1]), without_record(X, space), physics(X)[:, -3:]])
+
     def everything(X, space):
-        return np.column_stack([intensities(X, space), shipped.features(X, space)[:, -3:]])
+        return np.column_stack([intensities(X, space), physics(X)[:, -3:]])
 
     return {
         "bearing and PGV": without_record,
-        "with intensities of the record": intensities,
-        "with v*, a*, m* (records.toml)": shipped.features,
-        "with both": everything,
+        "with the record as 0 and 1": lambda X, space: np.column_stack(
+            [without_record(X, space), record.indicators(X[:, column])]
+        ),
+        "with PGA, PGV and Sa as recorded": as_recorded,
+        "with PGA and Sa of the scaled record (default)": "design",
+        "with intensities for the bearing": intensities,
+        "with v*, a*, m* (records.toml)": "collision",
+        "with v*, a*, m*, PGA and Sa of the scaled record": cheap_models,
+        "with v*, a*, m* and intensities for the bearing": everything,
     }
 
 
 def main():
     options = asked(__doc__, designs=4000, learn=[250, 500, 2000], seed=1)
     torch.set_num_threads(1)
-    sys.path.insert(0, str(CAMPAIGNS))
-    import bearing_records as shipped
-
-    space = read_settings(CAMPAIGNS / "records.toml").design_space()
-    motions, events, velocities = shipped.records()
+    space = space_with_motions(with_records(read_settings(CAMPAIGNS / "records.toml"), CAMPAIGNS))
+    record = space.parameters[space.names.index("record")]
+    motions = [one.motion for one in record.payload()]
+    events, velocities = record.groups, np.array([motion.peak_velocity for motion in motions])
     rng = np.random.default_rng(options.seed)
     X = rng.permutation(space.latin_hypercube(options.designs, rng))
-    bearings, velocity = space.table(X, shipped.BEARING), space.table(X, ("PGV",))[:, 0]
-    which = shipped.number_of(space.table(X, ("record",))[:, 0])
+    bearings, velocity = space.table(X, BEARING), space.table(X, ("PGV",))[:, 0]
+    _, which = space.objects(X, "record")
 
     def outcomes(ground):
         scaled = [ground[k].scaled(v / velocities[k]) for k, v in zip(which, velocity, strict=True)]
         run = simulate_records(bearings, scaled)
         return np.where(run.cause == o.NO_TOUCH, o.FAILURE, run.outcome).astype(np.int8)
 
-    shipped.features(X[:1], space)  # compiles
+    collision = feature_map("collision", space).raw
     outcome, simulated = timed(outcomes, motions)
-    physics, computed = timed(lambda: shipped.features(X, space)[:, -3:])
+    physics, computed = timed(lambda: collision(X)[:, -3:])
     event = np.array(events)[which]
     fails = outcome == o.FAILURE
     print(
@@ -113,8 +128,9 @@ def main():
     pulses, _, _ = measures_of(motions)
     show("equivalent pulse, simulated", "-", outcomes([pulse.motion for pulse in pulses]) == o.FAILURE)
     show("reduced model, m* > 0", "-", physics[:, -1] > 0.0)
-    for name, features in feature_sets(shipped).items():
-        mapped = feature_map(CustomFeatures("features", features, variables=False), space)
+    for name, features in feature_sets(space).items():
+        custom = features if isinstance(features, str) else CustomFeatures("features", features, variables=False)
+        mapped = feature_map(custom, space)
         for count in options.learn:
             predicted = np.zeros(len(X), dtype=bool)
             for one in dict.fromkeys(events):

@@ -44,7 +44,6 @@ DESIGN = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the module in which numba stores what it compiles, for all that load it: compiling takes seconds."""
     folder = tmp_path_factory.mktemp("campaigns")
-    (folder / "bearing_records.py").write_bytes((CAMPAIGNS / "bearing_records.py").read_bytes())
     code = (CAMPAIGNS / "building.py").read_text(encoding="utf-8")
     assert code.count("@njit(error_model=") == code.count("@njit")
     (folder / "building.py").write_text(code.replace("@njit(", "@njit(cache=True, "), encoding="utf-8")

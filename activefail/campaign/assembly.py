@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
+from activefail.campaign.record_sets import space_with_motions, with_records
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError, description_of, place_of
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
@@ -108,7 +109,8 @@ class Campaign:
         """
         # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
-        space = settings.design_space()
+        settings = with_records(settings, code)
+        space = space_with_motions(settings)
         sources: dict[str, str] = {}
         if simulator is None:
             _check_bearing(settings)

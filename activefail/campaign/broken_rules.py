@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from activefail.campaign.sections import KINDS, NAME, NUMBER, RANGE, WITH, FixedVariable, Variable, shown
+from activefail.campaign.sections import KINDS, NAME, NUMBER, RANGE, VARIABLES, WITH, Variable, shown
 
 
 def _key(name: str) -> str:
@@ -22,7 +22,7 @@ def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
         case []:
             section: Any = settings
         case [*_, "space", _, kind]:
-            section = FixedVariable if kind == f"{WITH}value" else Variable
+            section = VARIABLES.get(kind.removeprefix(WITH), Variable)
         case [*_, "simulator" | "features" | "stop" as name, kind]:
             section = KINDS[name][kind.removeprefix(WITH)]
         case [name, *_]:
@@ -39,8 +39,11 @@ def _names(section: type[BaseModel]) -> list[str]:
 def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> str:
     """The message for a key that the section at a path does not have."""
     match path:
-        case [*_, "space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
-            return "a variable has `low` and `high`, `choices` or `value`"
+        case [*_, "space", _, _] if key in {
+            *Variable.model_fields,
+            *(key for one in VARIABLES.values() for key in one.model_fields),
+        }:
+            return "a variable has `low` and `high`, `choices`, `set` or `value`"
         case [*_, "simulator" | "features" | "stop" as name, kind]:
             present = kind.removeprefix(WITH)
             for other, section in KINDS[name].items():

@@ -13,11 +13,11 @@ import numpy as np
 
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
-from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable, shown
+from activefail.campaign.sections import AnyVariable, FixedVariable, QuestionSettings, SetVariable, shown
 from activefail.campaign.settings import read_toml
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
-from activefail.shares import feasible_share, percent
+from activefail.shares import feasible_share, percent, records_in_words
 from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
@@ -36,6 +36,11 @@ PGV = "PGV"
 
 PERIOD, AMPLITUDE = "T_p", "A_p"
 """The variables of a pulse: period [s] and amplitude [g]."""
+
+
+def _replaces_amplitude(known: Iterable[str], variables: Collection[str]) -> bool:
+    """Whether the amplitude follows from the peak ground velocity, which is no variable of the campaign itself."""
+    return PGV in known and PGV not in variables
 
 
 _OF_CAMPAIGN = "the campaign's distributions"
@@ -68,10 +73,18 @@ class Question:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What the distribution assumes or leaves out, as sentences."""
-        if isinstance(self.space, WeightedRows) or not self.space.constraints:
+        if isinstance(self.space, WeightedRows):
             return self.stated
-        share = feasible_share(self.space)
-        return (*self.stated, f"Only designs that meet the constraints count, {share} of the variables' distribution.")
+        notes = [
+            f"{one.name}: the probability and its interval are those of these {records_in_words(one)}, not of other "
+            "earthquakes."
+            for one in self.space.parameters
+            if one.groups is not None
+        ]
+        if self.space.constraints:
+            share = feasible_share(self.space)
+            notes.append(f"Only designs that meet the constraints count, {share} of the variables' distribution.")
+        return (*self.stated, *notes)
 
     @property
     def is_of_campaign(self) -> bool:
@@ -111,7 +124,7 @@ class Question:
             return X
         columns = {name: np.full(len(X), value) for name, value in self.fixed.items()}
         columns |= dict(zip(self.space.names, X.T, strict=True))
-        if PGV in columns:
+        if _replaces_amplitude(columns, self.variables):
             from activefail.bearing.pulse import amplitude_of
 
             columns[AMPLITUDE] = amplitude_of(columns[PGV], columns[PERIOD])
@@ -123,7 +136,7 @@ class Question:
         Raises:
             InputError: if a value is that of the amplitude, which follows from the peak ground velocity.
         """
-        if AMPLITUDE in values and PGV in {*self.space.names, *self.fixed}:
+        if AMPLITUDE in values and _replaces_amplitude((*self.space.names, *self.fixed), self.variables):
             raise InputError(f"{AMPLITUDE}: cannot have a value, because it follows from {PGV}.")
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
@@ -339,8 +352,9 @@ def asked_of(
     Raises:
         InputError: if no variable is uncertain.
     """
-    replaced = [name for name in space.names if not (name == AMPLITUDE and PGV in {*changed, *fixed})]
-    names = [*replaced, PGV] if len(replaced) < space.dimension else replaced
+    names = list(space.names)
+    if AMPLITUDE in names and _replaces_amplitude((*changed, *fixed), names):
+        names = [*(name for name in names if name != AMPLITUDE), PGV]
     uncertain = [name for name in names if name not in fixed]
     if not uncertain:
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
@@ -366,7 +380,7 @@ def check_constraints(
     """
     values = space.quantities(fixed)
     for constraint in space.constraints:
-        if AMPLITUDE in constraint.names and PGV in {*uncertain, *fixed}:
+        if AMPLITUDE in constraint.names and _replaces_amplitude((*uncertain, *fixed), space.names):
             raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
         if is_table and not constraint.names.isdisjoint(uncertain):
             raise InputError(f"constraints: {constraint.text!r} cannot hold for the pulses of a table.")
@@ -437,21 +451,23 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     """
     for name, entry in section.space.items():
         _check_variable(name, entry, space)
-    if PGV in section.space and AMPLITUDE in {*section.space, *further}:
+    if _replaces_amplitude(section.space, space.names) and AMPLITUDE in {*section.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
     stated = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)}
     fixed = {name: _number_of(space, name, value, f"space.{name}.value") for name, value in stated.items()} | dict(
         further
     )
     entries = {
-        name: entry for name, entry in section.space.items() if isinstance(entry, Variable) and name not in fixed
+        name: entry
+        for name, entry in section.space.items()
+        if not isinstance(entry, FixedVariable) and name not in fixed
     }
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(section.reach, unbounded) if unbounded else np.inf
     changed = {
         name: _in_steps(entry.parameter(name, distance), space, entry.is_bounded) for name, entry in entries.items()
     }
-    if PGV in section.space and PGV not in space.names:
+    if _replaces_amplitude(section.space, space.names):
         median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
         if median > LARGEST_MEDIAN:
             raise InputError(
@@ -503,13 +519,13 @@ def _with_choices_of(own: Parameter, parameter: Parameter) -> Parameter:
     return replace(own, probabilities=tuple(shares.tolist()))
 
 
-def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpace) -> None:
+def _check_variable(name: str, entry: AnyVariable, space: DesignSpace) -> None:
     """Check one variable of a question.
 
     Raises:
         InputError: naming the key, the rule and the value.
     """
-    if name == PGV and PGV not in space.names:
+    if _replaces_amplitude([name], space.names):
         check_pulse(space, f"space.{PGV}")
         unit = "m/s"
     else:
@@ -521,6 +537,8 @@ def _check_variable(name: str, entry: Variable | FixedVariable, space: DesignSpa
             if not own.on_grid(value):
                 raise InputError(f"space.{name}.value: {own.rule}, got {value:g}.")
         unit = own.unit
+    if isinstance(entry, SetVariable):
+        raise InputError(f"space.{name}.set: must be left out; `choices` name some of the campaign's records.")
     if entry.unit and entry.unit != unit:
         stated = unit or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

@@ -4,7 +4,7 @@ import itertools
 import re
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import (
     BaseModel,
@@ -20,6 +20,7 @@ from pydantic import (
 
 from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
+from activefail.errors import InputError
 from activefail.names import Criterion, FeatureSet, Kernel
 from activefail.parameter import Choice, Parameter, choices_fault, distribution_fault, step_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
@@ -175,6 +176,84 @@ class Variable(Section):
             return Parameter.of_choices(name, self.choices, self.probabilities or (), self.unit)
         low, high, mean, sd = self._numbers(distance)
         return Parameter(name, low, high, self.unit, self.distribution, mean, sd, self.step)
+
+
+_MOST_RECORDS = 1000
+"""Most records of a variable."""
+
+_MEASURE = re.compile(r"factor|pga|pgv|sa:(\d+(?:\.\d+)?)")
+"""An intensity to which records are scaled (`activefail.intensity`)."""
+
+
+class SetVariable(Section):
+    """A variable whose values are the records of a set of ground motions, without order.
+
+    Attributes:
+        set: a set of FEMA P695 (farfield, nearfield, nearfield-pulse or nearfield-no-pulse), or a folder of records
+            beside the campaign file.
+        unit: unit of accelerations in files that state none: g, m/s2, cm/s2 or mm/s2.
+        dt: interval of samples in files that state none [s].
+        scaled_to: the variable or fixed quantity to which each record is scaled, with the intensity that it is: factor,
+            pga [g], pgv [m/s] or sa:T [g], as in { PGV = "pgv" }. If left out, the records are as they are.
+        probabilities: of the records; equal if left out.
+        digest: SHA-256 of the records' samples and intervals; other records are refused. activefail writes it to run
+            folders.
+        records: the events of the records, by their names; activefail writes them to run folders.
+    """
+
+    set: str = Field(min_length=1)
+    unit: str | None = None
+    dt: float | None = Field(None, gt=0.0)
+    scaled_to: dict[str, str] | None = Field(None, min_length=1, max_length=1)
+    probabilities: list[float] | None = None
+    digest: str | None = None
+    records: dict[str, str] | None = None
+
+    is_bounded: ClassVar = True
+    has_texts: ClassVar = True
+
+    @field_validator("scaled_to")
+    @classmethod
+    def _names_a_measure(cls, scaled_to: dict[str, str] | None) -> dict[str, str] | None:
+        for name, measure in (scaled_to or {}).items():
+            match = _MEASURE.fullmatch(measure)
+            if not match or (match[1] and not 0.01 <= float(match[1]) <= 100.0):
+                raise ValueError(
+                    f"{name} must be factor, pga, pgv, or sa:T with a period T from 0.01 to 100 s, got {measure!r}"
+                )
+        return scaled_to
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        if self.records is not None and self.digest is None:
+            raise ValueError("`records` requires `digest`; activefail writes both")
+        if self.records is not None and (fault := self.fault):
+            raise ValueError(fault)
+        return self
+
+    @property
+    def choices(self) -> list[Choice]:
+        """The names of the records, if they are known."""
+        return [*(self.records or {})]
+
+    @property
+    def fault(self) -> str:
+        """Why the records do not define a variable; empty if they do."""
+        fault = choices_fault(self.choices, self.probabilities or (), _MOST_RECORDS)
+        return fault.replace("`choices`", "the names of records").replace("choices", "records")
+
+    def parameter(self, name: str, _: float) -> Parameter:
+        """The variable of the design space, under a name (see `Variable.parameter`).
+
+        Raises:
+            InputError: if the records are not known.
+        """
+        if self.records is None:
+            raise InputError(f"space.{name}.set: cannot be read here; state it in a campaign file.")
+        n = len(self.records)
+        shares = tuple(self.probabilities or (1.0 / n,) * n)
+        groups = tuple(self.records.values())
+        return Parameter(name, 0.0, n - 1.0, step=1.0, choices=tuple(self.records), probabilities=shares, groups=groups)
 
 
 class FixedVariable(Section):
@@ -540,9 +619,11 @@ KINDS: dict[str, dict[str, type[Section]]] = {
 """Alternative tables of a setting, by the key that only they have."""
 
 
-def _range_or_value(entry: Any) -> str:
-    is_fixed = isinstance(entry, FixedVariable) or (isinstance(entry, dict) and "value" in entry)
-    return f"{WITH}value" if is_fixed else RANGE
+def _kind_of_variable(entry: Any) -> str:
+    for key, section in VARIABLES.items():
+        if isinstance(entry, section) or (isinstance(entry, dict) and key in entry):
+            return f"{WITH}{key}"
+    return RANGE
 
 
 def by_key(sections: Mapping[str, type[Section]], has_names: bool = True) -> Discriminator:
@@ -679,8 +760,14 @@ class Limits(Section):
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
 
 
+VARIABLES: dict[str, type[Section]] = {"value": FixedVariable, "set": SetVariable}
+"""Tables of `space` that are no distributions, by the key that only they have."""
+
 AnyVariable = Annotated[
-    Annotated[Variable, Tag(RANGE)] | Annotated[FixedVariable, Tag(f"{WITH}value")], Discriminator(_range_or_value)
+    Annotated[Variable, Tag(RANGE)]
+    | Annotated[SetVariable, Tag(f"{WITH}set")]
+    | Annotated[FixedVariable, Tag(f"{WITH}value")],
+    Discriminator(_kind_of_variable),
 ]
 
 

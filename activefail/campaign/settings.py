@@ -31,6 +31,7 @@ from activefail.campaign.sections import (
     QuestionSettings,
     Sampling,
     Section,
+    SetVariable,
     StopRule,
     Validation,
     Variable,
@@ -60,7 +61,7 @@ def _is_strong(correlation: object) -> bool:
     )
 
 
-def _table_1() -> dict[str, Variable | FixedVariable]:
+def _table_1() -> dict[str, AnyVariable]:
     return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
 
 
@@ -151,12 +152,15 @@ class CampaignSettings(Section):
 
     @field_validator("space")
     @classmethod
-    def _named(cls, space: dict[str, Variable | FixedVariable]) -> dict[str, Variable | FixedVariable]:
+    def _named(cls, space: dict[str, AnyVariable]) -> dict[str, AnyVariable]:
         for name, entry in space.items():
             if not name.isidentifier():
                 raise ValueError(f"a variable's name must be an identifier, got {name!r}")
             if isinstance(entry, FixedVariable) and isinstance(entry.value, str):
                 raise ValueError(f"{name}.value: must be a number, got {entry.value!r}")
+            for level in (entry.scaled_to or {}) if isinstance(entry, SetVariable) else ():
+                if level not in space or getattr(space[level], "has_texts", False):
+                    raise ValueError(f"{name}.scaled_to: must name a variable with numbers of the space, got {level!r}")
         return space
 
     @field_validator("constraints")
@@ -165,7 +169,7 @@ class CampaignSettings(Section):
         for text in texts if "space" in info.data else ():  # which has its own error otherwise
             constraint = parse_constraint(text, info.data["space"])
             for name, entry in info.data["space"].items():
-                if name in constraint.names and isinstance(entry, Variable) and entry.has_texts:
+                if name in constraint.names and getattr(entry, "has_texts", False):
                     raise ValueError(f"{name!r} has texts as choices, which no expression takes; in {text!r}")
         return texts
 
@@ -229,11 +233,11 @@ class CampaignSettings(Section):
     @property
     def without_order(self) -> tuple[str, ...]:
         """Names of the variables with choices."""
-        return tuple(name for name, one in self.space.items() if isinstance(one, Variable) and one.choices)
+        return tuple(name for name, one in self.space.items() if getattr(one, "choices", None))
 
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
-        variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
+        variables = {name: entry for name, entry in self.space.items() if not isinstance(entry, FixedVariable)}
         fixed = {name: float(entry.value) for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))

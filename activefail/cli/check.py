@@ -42,6 +42,7 @@ def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
 
 def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
+    from activefail.motions import Motions
     from activefail.shares import choices_with_shares, feasible_share
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.function import PythonSimulator
@@ -50,6 +51,8 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     for one in space.parameters:
         if one.choices:
             yield "variable", f"{one.label}: {choices_with_shares(one)}"
+            if isinstance(one.payload, Motions):
+                yield from (("note", note) for note in one.payload.found.notes)
             continue
         steps = "" if one.step is None else f" in steps of {one.step:g}"
         yield "variable", f"{one.label}: {one.low:g} to {one.high:g}{steps}, {one.distribution.replace('_', ' ')}"

@@ -111,7 +111,8 @@ def custom_quantity(name: str, unit: str = "") -> Quantity:
 def _of_simulator(campaign: Campaign, names: Iterable[str]) -> list[Quantity]:
     """Variables or fixed quantities of a simulator; only those of the bearing have a known meaning."""
     describe = quantity if isinstance(campaign.simulator, DfpSimulator) else custom_quantity
-    return [describe(name, campaign.settings.space[name].unit) for name in names]
+    units = {one.name: one.unit for one in campaign.space.parameters}
+    return [describe(name, units.get(name, campaign.settings.space[name].unit or "")) for name in names]
 
 
 def variables(campaign: Campaign) -> list[Quantity]:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from activefail.campaign.sections import (
     CommandSimulatorSettings,
     ExpressionFeaturesSettings,
+    FixedVariable,
     PythonFeaturesSettings,
     PythonSimulatorSettings,
-    Variable,
 )
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
@@ -143,7 +143,7 @@ class Summary:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts that `activefail status` prints."""
         settings = self.settings
-        variables = sum(isinstance(one, Variable) for one in settings.space.values())
+        variables = sum(not isinstance(one, FixedVariable) for one in settings.space.values())
         done = f"{self.done} of {settings.sampling.budget} simulations"
         if self.done > settings.sampling.budget:
             done = f"{self.done} simulations, {settings.sampling.budget} planned"

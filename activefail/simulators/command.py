@@ -33,7 +33,7 @@ from activefail.simulators.placeholders import (
     named_in,
     words_of,
 )
-from activefail.simulators.returned import designs_by_name, read_answer
+from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
 
@@ -64,6 +64,9 @@ class CommandSimulator:
     output (`stdout.txt`, `stderr.txt`). The command runs without a shell. In it, `{name}` is replaced by a value,
     `{here}` by the folder of the user's code, and `{out}` by the file to which the program writes its answer: a JSON
     object with "outcome" and, optionally, "margins". The environment has the same: AF_HERE, AF_OUT, and AF_<name>.
+
+    The value of a variable with a set of records, such as `record`, is the path of a text file in the folder, with an
+    acceleration [m/s²] in each line; `record_dt` is its interval [s], and `record_name` the name of the record.
 
     Attributes:
         space: design space.
@@ -107,12 +110,18 @@ class CommandSimulator:
     isolated = True
 
     def __post_init__(self) -> None:
-        quantities = designs_by_name(self.space, self.space.low[None])[0]
+        quantities = self._example
+        records = [f"{one.name}.txt" for one in self.space.parameters if one.payload is not None]
         for name in quantities:
             if name.lower() in PATHS:
                 raise InputError(f"space.{name}: `{{{name}}}` is reserved in simulator.command; rename the variable.")
         check_command(self.command, quantities)
-        names = [*_OWN_FILES, *(_target(file) for file in self.templates), *(Path(file).name for file in self.copies)]
+        names = [
+            *_OWN_FILES,
+            *records,
+            *(_target(file) for file in self.templates),
+            *(Path(file).name for file in self.copies),
+        ]
         for name in names:
             if names.count(name) > 1 or not name:
                 raise InputError(f"simulator.template, simulator.copy: a run's folder can have only one {name!r}.")
@@ -128,6 +137,18 @@ class CommandSimulator:
                     raise InputError(f"simulator.copy: {source} does not exist.")
                 if self.work.resolve().is_relative_to(source.resolve()):
                     raise InputError(f"simulator.copy: {source} must not hold the run folder.")
+
+    @property
+    def _example(self) -> dict[str, Any]:
+        """The quantities of a design, with examples of their values."""
+        design = designs_by_name(self.space, self.space.low[None])[0]
+        for one in self.space.parameters:
+            if one.payload is not None:
+                for name, example in {f"{one.name}_dt": 0.01, f"{one.name}_name": design[one.name]}.items():
+                    if name in design:
+                        raise InputError(f"space.{name}: tells a program of the variable {one.name}; rename it.")
+                    design[name] = example
+        return design
 
     def digest(self) -> str:
         """Of the files in `here` that decide results: templates, copies, and what the command names.
@@ -161,7 +182,7 @@ class CommandSimulator:
         Raises:
             InputError: if a template cannot be read, or asks for no quantity or an unknown one.
         """
-        quantities = designs_by_name(self.space, self.space.low[None])[0]
+        quantities = self._example
         asked = {}
         for file in self.templates:
             try:
@@ -201,6 +222,7 @@ class CommandSimulator:
                 f"simulator.command: {self.command!r} is a program that the campaign file names. A run folder may come "
                 "from someone else, so such a program runs only if you name the folder of its files with --code."
             )
+        read_objects(self.space)
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):
             for retries_left in reversed(range(1 + self.retries)):
@@ -231,6 +253,10 @@ class CommandSimulator:
         return folder
 
     def _run_once(self, design: Mapping[str, Any], folder: Path) -> Results:
+        for name, record in objects_in(self.space, design).items():
+            file, motion = folder / f"{name}.txt", record.motion
+            file.write_text("".join(f"{a!r}\n" for a in motion.acceleration.tolist()))
+            design = {**design, name: str(file), f"{name}_dt": motion.dt, f"{name}_name": record.name}
         (folder / "design.json").write_text(json.dumps(design, indent=1) + "\n")
         self._prepare(design, folder)
         assert self.here is not None

@@ -10,7 +10,7 @@ from pathlib import Path
 from activefail.errors import ActivefailError, InputError, description_of
 from activefail.simulators.code_folder import import_from
 from activefail.simulators.interface import Results
-from activefail.simulators.returned import designs_by_name, read_answer
+from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
@@ -20,8 +20,9 @@ from activefail.visible import visible
 class PythonSimulator:
     """A function that simulates one design, in a worker process.
 
-    It takes a dictionary with the values of the variables and the fixed quantities. It returns the name of the outcome,
-    or a dictionary with "outcome" and, optionally, "margins", a dictionary of numbers; or the only margin, if that has
+    It takes a dictionary with the values of the variables and the fixed quantities. The value of a variable with a set
+    is the record, scaled (`activefail.accelerogram_sets.SetRecord`). It returns the name of the outcome, or a
+    dictionary with "outcome" and, optionally, "margins", a dictionary of numbers; or the only margin, if that has
     levels. If it raises, only that simulation fails.
 
     Attributes:
@@ -61,12 +62,13 @@ class PythonSimulator:
         return digest
 
     def prepare(self) -> None:
-        """Import the function's module, so that the import does not count as simulation time.
+        """Import the function's module and read records, so that neither counts as simulation time.
 
         Raises:
-            InputError: as `load` does.
+            InputError: as `load` does, and if the records are not those of the campaign.
         """
         _loaded(self.reference, self.code, self.source, self.folder)
+        read_objects(self.space)
         if self.code is not None:
             # For imports at run time: another simulator may have been prepared since the module was loaded.
             import_from(self.code, {})
@@ -80,7 +82,9 @@ class PythonSimulator:
         """
         function = _loaded(self.reference, self.code, self.source, self.folder)
         answers = []
+        read_objects(self.space)
         for design in designs_by_name(self.space, X):
+            design |= objects_in(self.space, design)
             began = time.perf_counter()
             try:
                 answer = function(design)

@@ -18,6 +18,26 @@ def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, Any]]:
     return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in zip(*columns, strict=True)]
 
 
+def read_objects(space: DesignSpace) -> None:
+    """Read what choices stand for, such as records, once in this process.
+
+    Raises:
+        InputError: if that cannot be read, or has changed.
+    """
+    for one in space.parameters:
+        if one.payload is not None:
+            one.payload()
+
+
+def objects_in(space: DesignSpace, design: Mapping[str, Any]) -> dict[str, Any]:
+    """What the choices in a design, by name, stand for, such as records; by the names of their variables."""
+    return {
+        one.name: one.payload.in_design(int(one.number_of(design[one.name])), design)
+        for one in space.parameters
+        if one.payload is not None
+    }
+
+
 def read_answer(
     answer: object,
     outcomes: tuple[str, ...],

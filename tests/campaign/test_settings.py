@@ -134,7 +134,10 @@ BROKEN = [
         "space.mu = {low = 0.1, high = 0.2, distribution = 'poisson'}",
         "space.mu.distribution: must be 'uniform', 'log_uniform', 'truncated_normal'",
     ),
-    ("space.mu = {value = 0.1, low = 0.2}", "space.mu.low: a variable has `low` and `high`, `choices` or `value`"),
+    (
+        "space.mu = {value = 0.1, low = 0.2}",
+        "space.mu.low: a variable has `low` and `high`, `choices`, `set` or `value`",
+    ),
     (
         'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
         "simulator.retries: belongs to `command`; cannot be combined with `python`",

@@ -21,12 +21,12 @@ from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
+from activefail.intensity import Intensity, spectral_acceleration
 from activefail.json_text import json_text
 from activefail.risk.ida import simulations as module
 from activefail.risk.ida.capacity import Agreement, Answers, Capacities, Runs, capacities, ladder
 from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, Kept
 
@@ -562,13 +562,13 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
     settings = (plate / "plate.toml").read_text()
     for old, new, message in (
         ("high = 8.0", "high = 7.0", "--records: must be the 7 records of the campaign, got 8."),
-        ("PGV", "velocity", "--simulator: must be a campaign under records, with the variables record and PGV"),
+        ("PGV", "velocity", "with a variable that has a `set`, or the variables record and PGV; got"),
     ):
         (plate / "other.toml").write_text(settings.replace(old, new))
         refused(activefail(*words, plate / "other.toml"), message)
     for options, message in (
         (("--pulses",), "--simulator cannot be combined with --pulses."),
-        (("--scale-to", "pga"), "--scale-to: must be pgv with --simulator, got 'pga'."),
+        (("--scale-to", "pga"), "--scale-to: must be pgv with this --simulator, got 'pga'."),
     ):
         refused(activefail(*words, plate / "plate.toml", *options), message)
 

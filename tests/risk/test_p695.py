@@ -13,8 +13,8 @@ from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida import simulations
-from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import (
     MarginOptions,
     MarginRequest,
@@ -153,14 +153,14 @@ def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set(package: S
 
 def test_p695_scales_all_records_by_one_factor(package: SimpleNamespace) -> None:
     records = read_record_set("farfield")
-    intensity = Intensity.of("p695").on(3.5, records.of_p695)
+    intensity = Intensity("p695", 3.5, normalised_intensity(3.5, records.of_p695))
     assert {intensity.of_record(record.motion) for record in records.records} == {normalised_intensity(3.5, "farfield")}
     for period, name, message in (
         (0.2, "farfield", r"T_b must be from 0\.25 to 5 s"),
         (3.5, "nearfield_pulse", "requires --records farfield or nearfield"),
     ):
         with pytest.raises(InputError, match=message):
-            Intensity.of("p695").on(period, name)
+            normalised_intensity(period, name)
 
 
 def test_p695s_factors_under_another_scaling_are_refused_or_noted() -> None:

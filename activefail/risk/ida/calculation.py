@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activefail.accelerogram_sets import RecordSet
+from activefail.accelerogram_sets import RecordSet, digest_of
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.campaign.provenance import simulation_versions
 from activefail.errors import InputError
 from activefail.files import writing_to
+from activefail.intensity import Intensity
 from activefail.progress import Begin, uncounted
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder
 from activefail.risk.ida.equivalent_pulse import (
@@ -23,9 +25,8 @@ from activefail.risk.ida.equivalent_pulse import (
     predictions,
 )
 from activefail.risk.ida.findings import IdaFindings
-from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.p695 import MarginRequest
-from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, Kept, digest_of
+from activefail.risk.ida.p695 import MarginRequest, normalised_intensity
+from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, Kept
 
 if TYPE_CHECKING:
     from activefail.run import Run
@@ -66,7 +67,8 @@ def analysis(
     if outcome not in outcomes[1:]:
         raise InputError(f"--outcome: must be one of {', '.join(outcomes[1:])}, got {outcome!r}.")
     severity, period = outcomes.index(outcome), subject.values.get("T_b", math.nan)
-    intensity = intensity.on(period, records.of_p695)
+    if intensity.kind == "p695":
+        intensity = replace(intensity, period=period, of_set=normalised_intensity(period, records.of_p695))
     if run is not None and isinstance(subject, BearingSubject):
         check_campaign(run.campaign, subject.values, subject.model)
     options = (margin or MarginRequest()).options(period, records.of_p695, intensity.kind == "p695")

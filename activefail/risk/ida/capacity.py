@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import InputError
-from activefail.risk.ida.intensity import Intensity
+from activefail.intensity import Intensity
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 

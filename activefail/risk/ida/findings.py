@@ -12,11 +12,11 @@ from scipy.special import ndtr
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.terms import Terms
 from activefail.findings.lines import titled
+from activefail.intensity import Intensity
 from activefail.json_text import json_values, named
 from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import Prediction, PulseComparison
-from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
 from activefail.space import Array

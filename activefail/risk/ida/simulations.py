@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import TABLE_1, Bearing, Model, Tolerance, outside_table_1
 from activefail.bearing.outcome import CAUSES, OUTCOMES
@@ -18,6 +19,7 @@ from activefail.campaign.on_disk import campaign_file, read_campaign
 from activefail.campaign.question import values_of
 from activefail.errors import InputError, SimulationError, naming
 from activefail.files import replacing, writing_to
+from activefail.motions import Motions
 from activefail.risk.ida.capacity import Answers, Runs, Simulate
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
 
 RECORD, VELOCITY = "record", "PGV"
-"""Variables of a campaign under records: the record, whose whole part counts from 0, and the PGV after scaling."""
+"""Variables of a campaign whose code reads the records: the record, whose whole part counts from 0, and its PGV."""
 
 _LIFTED = CAUSES.index("failure_without_rim_touch")
 _FAILURE = len(OUTCOMES) - 1
@@ -119,13 +121,54 @@ class BearingSubject:
         return {"model": asdict(self.model), "tolerance": asdict(self.tolerance)}
 
 
+@dataclass(frozen=True)
+class Ground:
+    """The ground motion in the designs of a campaign.
+
+    Attributes:
+        record: the variable that says which record.
+        level: the variable to which it is scaled.
+        measure: the intensity that `level` is.
+        records: the records; None if the campaign's code reads them.
+    """
+
+    record: str = RECORD
+    level: str = VELOCITY
+    measure: str = "pgv"
+    records: RecordSet | None = None
+
+    @classmethod
+    def of(cls, campaign: Campaign) -> "Ground":
+        """That of a campaign: of a variable with a set, or the variables `record` and `PGV`.
+
+        Raises:
+            InputError: if it has neither; or as reading the records does.
+        """
+        names = campaign.space.names
+        for one in campaign.space.parameters:
+            if isinstance(one.payload, Motions):
+                if one.payload.level not in names:
+                    raise InputError(
+                        f"--simulator: requires a campaign whose space.{one.name}.scaled_to names a variable, to which "
+                        "the records are scaled."
+                    )
+                return cls(one.name, one.payload.level, one.payload.measure, one.payload.found)
+        if not {RECORD, VELOCITY} <= set(names):
+            raise InputError(
+                f"--simulator: must be a campaign under records, with a variable that has a `set`, or the variables "
+                f"{RECORD} and {VELOCITY}; got {visible(', '.join(names))}."
+            )
+        return cls()
+
+
 @dataclass(eq=False)
 class CampaignSubject:
     """A campaign under records that is analysed; its simulator scales them itself.
 
     Attributes:
         name: of the campaign.
-        campaign: with the variables `record` and `PGV`.
+        campaign: its definition.
+        ground: the ground motion in its designs.
         asked: values of its other variables.
         executor: runs the simulations.
         values, outcomes, notes, fault, answered: as for `BearingSubject`.
@@ -133,6 +176,7 @@ class CampaignSubject:
 
     name: str
     campaign: Campaign
+    ground: Ground
     asked: Mapping[str, float]
     executor: "Executor"
     answered: bool = False
@@ -141,10 +185,11 @@ class CampaignSubject:
     def __post_init__(self) -> None:
         self.values = {**self.campaign.space.fixed, **self.asked}
         self.outcomes = tuple(self.campaign.simulator.outcomes)
-        self.notes = (
+        of_code = (
             "The campaign's code reads and scales the records. Their names and events are those of --records, in the "
-            "same order.",
+            "same order."
         )
+        self.notes = () if self.ground.records else (of_code,)
 
     def simulate(self, records: Sequence[Accelerogram], intensities: Array, progress: Progress, runs: Runs) -> Answers:
         """The outcomes of records at levels (see `BearingSubject.simulate`).
@@ -156,10 +201,11 @@ class CampaignSubject:
         if not self.answered and len(runs) > _FIRST:
             parts = (self.simulate(records, intensities, progress, part) for part in (runs[:_FIRST], runs[_FIRST:]))
             return Answers(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        ground = np.array(runs)
-        # Half a number from the next record, so that rounding changes nothing.
+        which, level = np.array(runs).T
+        # Of a number between two whole ones rounding changes nothing.
+        which = which if self.ground.records else which + 0.5
         columns = {name: np.full(len(runs), value) for name, value in self.asked.items()}
-        columns |= {RECORD: ground[:, 0] + 0.5, VELOCITY: ground[:, 1]}
+        columns |= {self.ground.record: which, self.ground.level: level}
         X = np.column_stack([columns[name] for name in self.campaign.space.names])
         results = self.executor.run(self.campaign.simulator, X, progress)
         self.fault = self.fault or first_fault_text(results.faults.values()).strip()
@@ -183,41 +229,30 @@ def campaign_of(file: str | Path) -> tuple[str, Campaign]:
         InputError: naming the file, the key, the rule and the value.
     """
     file = campaign_file(Path(file))
-    campaign = read_campaign(file, code=file.absolute().parent, features=False)
+    campaign = read_campaign(file, code=file.absolute().parent, features=False, frozen=True)  # no features are needed
     campaign.check_simulates()
     return file.name, campaign
 
 
-def values_under_records(campaign: Campaign, values: Values, records: int) -> dict[str, float]:
-    """The values of all variables of a campaign but `record` and `PGV`.
+def values_under_records(campaign: Campaign, ground: Ground, values: Values, records: RecordSet) -> dict[str, float]:
+    """The values of all variables of a campaign but those of the ground motion.
 
     Raises:
-        InputError: if the campaign lacks a variable, has another number of records, or a value is missing.
+        InputError: if the campaign has other records, or a value is missing.
     """
     space, known = campaign.space, values_of(values, campaign.space, "bearing")
-    if not {RECORD, VELOCITY} <= set(space.names):
-        raise InputError(
-            f"--simulator: must be a campaign under records, with the variables {RECORD} and {VELOCITY}; got "
-            f"{visible(', '.join(space.names))}."
-        )
-    if motion := [name for name in (RECORD, VELOCITY) if name in known]:
+    of_ground = (ground.record, ground.level)
+    if motion := [name for name in of_ground if name in known]:
         raise InputError(f"--bearing: {motion[0]} belongs to the ground motion; leave it out.")
-    number = float(space.high[space.names.index(RECORD)])
-    if number != records:
-        raise InputError(f"--records: must be the {number:g} records of the campaign, got {records}.")
-    if missing := [name for name in space.names if name not in (*known, RECORD, VELOCITY)]:
+    if ground.records is None:
+        number = float(space.high[space.names.index(ground.record)])
+        if number != len(records.records):
+            raise InputError(f"--records: must be the {number:g} records of the campaign, got {len(records.records)}.")
+    elif records.digest != ground.records.digest:
+        raise InputError(f"--records: must be those of the campaign, {ground.records.name}; leave them out.")
+    if missing := [name for name in space.names if name not in (*known, *of_ground)]:
         raise InputError(f"--bearing: requires {visible(', '.join(missing))}.")
     return known
-
-
-def digest_of(records: Sequence[Accelerogram]) -> str:
-    """SHA-256 of the samples and intervals of records, in their order."""
-    digest = hashlib.sha256()
-    for one in records:
-        vertical = np.empty(0) if one.vertical is None else one.vertical
-        sizes = [one.dt, len(one.acceleration), len(vertical)]
-        digest.update(np.concatenate([sizes, one.acceleration, vertical]).tobytes())
-    return digest.hexdigest()
 
 
 _PART = 100

