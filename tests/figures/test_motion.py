@@ -195,7 +195,7 @@ def test_the_last_drawn_state_is_the_failing_one(failure):
     drawing = drawn(failure, failure.t[-1] + 1.0)
     q = failure.q[-1]
     np.testing.assert_allclose(drawing.slider.get_xy()[:-1].mean(axis=0), q[:2], atol=1e-3)
-    assert m.vertex_states(drawing.motion, q) == [m.LIFTED] * 4
+    assert m.vertex_states(drawing.motion, failure.t[-1]) == [m.LIFTED] * 4
 
 
 def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
@@ -232,7 +232,7 @@ def test_the_vertices_that_press_on_a_rim_are_marked_while_a_rim_carries_force(f
     motion = Motion(failure)
     _, rims = motion.contacts(motion.steps)
     for time, rim in zip(motion.steps.tolist(), rims, strict=True):
-        states = m.vertex_states(motion, motion.position(time))
+        states = m.vertex_states(motion, time)
         assert (m.ON_RIM in states[:2]) == (rim[0] > 0.0)
         assert (m.ON_RIM in states[2:]) == (rim[1] > 0.0)
 
@@ -242,8 +242,8 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
     response = simulate_one(bearing, Pulse(3.178, 0.618 * GRAVITY))
     motion = Motion(response)
     assert response.cause_name == "escape"
-    assert m.OVER_RIM in m.vertex_states(motion, response.q[-1])
-    assert m.OVER_RIM not in m.vertex_states(motion, response.q[-2])
+    assert m.OVER_RIM in m.vertex_states(motion, response.t[-1])
+    assert m.OVER_RIM not in m.vertex_states(motion, response.t[-2])
 
 
 def test_snapshots_show_rest_touch_the_way_and_the_end(failure, impact, no_impact):
@@ -265,7 +265,16 @@ def test_snapshots_show_rest_touch_the_way_and_the_end(failure, impact, no_impac
 
 def test_a_response_without_motion_is_refused_with_the_reason():
     stuck = simulate_one(FAILING, Pulse(2.5, 0.5 * GRAVITY), tolerance=Tolerance(most_steps=1))
-    short = Response(**{**vars(stuck), "t": stuck.t[:1], "q": stuck.q[:1], "v": stuck.v[:1], "a": stuck.a[:1]})
+    short = Response(
+        **{
+            **vars(stuck),
+            "t": stuck.t[:1],
+            "q": stuck.q[:1],
+            "v": stuck.v[:1],
+            "a": stuck.a[:1],
+            "rims": stuck.rims[:1],
+        }
+    )
     with pytest.raises(InputError, match="no motion to draw"):
         m.plot_response(short)
 
