@@ -1,6 +1,7 @@
-"""Outcomes of bearings whose rims break or yield, compared with an independent program.
+"""Bearings whose rims break or yield: outcomes by an independent program, and what the rims do to designs.
 
     python studies/rims.py --breaking 3000 --yielding 1000
+    python studies/rims.py --bearings 8
 
 The other program is written from docs/bearing.md alone. It integrates the plastic deformations as four more unknowns
 beside positions and velocities, where activefail moves the walls between steps, and finds events by root finding:
@@ -11,6 +12,10 @@ and continues with the others.
 
 Also printed: the outcomes that move at a tolerance 100 times tighter, how many more steps the types take, and every
 design that differs, with activefail's outcome at tighter tolerances and the other program's at 1e-9.
+
+`--bearings N` prints a table of bearings from a Latin hypercube of Table 1: their median capacity in PGV under the
+far-field records of FEMA P695, P(failure) under 1,024 pulses of magnitude 7 with a median PGV of 1 m/s, and the D_tot
+from which on at most a tenth of 256 of these pulses make the bearing fail.
 """
 
 import math
@@ -20,9 +25,11 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from study import Rows, asked, timed, uniform
+from study import Rows, asked, head, line, spread, timed, uniform
 
-from activefail.bearing import Model, Tolerance, simulate
+from activefail import ida
+from activefail.bearing import TABLE_1, Model, Tolerance, simulate
+from activefail.campaign.hazard import hazard_of, hazard_question
 
 G = 9.81
 SCALE = np.array([0.1, 0.1, 0.2, 0.025, 0.025, 1.0, 1.0, 2.0, 0.25, 0.25, 0.01, 0.01, 0.01, 0.01])
@@ -180,11 +187,65 @@ def models(kind, n, seed):
         yield Model(restitution=restitution, rim=kind, rim_strength=strength, **yields)
 
 
+RIMS = {
+    "rigid": Model(),
+    "yielding at 1.5 W, by 20 mm": Model(rim="yielding", rim_strength=1.5, rim_deformation=0.02),
+    "breaking at 1.5 W": Model(rim="breaking", rim_strength=1.5),
+    "yielding at 0.3 W, by 20 mm": Model(rim="yielding", rim_strength=0.3, rim_deformation=0.02),
+    "breaking at 0.3 W": Model(rim="breaking", rim_strength=0.3),
+    "none": Model(rim="none"),
+}
+TARGET, COARSE, STEP = 0.10, 0.1, 0.005
+HAZARD = {"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}
+
+
+def required(bearing, model, pulses):
+    """The D_tot [m], to `STEP`, from which on at most the target's share of the pulses makes the bearing fail."""
+
+    def fails(capacity):
+        X = np.column_stack([np.tile([*bearing[:2], capacity, *bearing[3:]], (len(pulses), 1)), pulses])
+        return float((simulate(X, model, threads=1).outcome == 2).mean()) > TARGET
+
+    # From the largest downwards, because very small capacities may be met again.
+    most = min(1.5, 0.999 * (G * (bearing[0] / (2.0 * math.pi)) ** 2 - model.slider_diameter))
+    high, low = most, most - COARSE
+    while low > COARSE and not fails(low):
+        high, low = low, low - COARSE
+    while high - low > STEP:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fails(middle) else (low, middle)
+    return high
+
+
+def compare_types(count, seed):
+    """Print the table of the types of rim."""
+    X = TABLE_1.latin_hypercube(count, np.random.default_rng(seed))[:, :7]
+    found = {name: [] for name in RIMS}
+    for bearing in X:
+        fixed = dict(zip(TABLE_1.names, bearing.tolist(), strict=False))
+        question = hazard_question(hazard_of(HAZARD, Path("hazard.toml")), TABLE_1, fixed)
+        designs = question.designs(question.space.sobol(1024, np.random.default_rng(seed)))
+        for name, model in RIMS.items():
+            capacity = ida(bearing, "farfield", scale_to="pgv", model=model, workers=1).fragility.fit.median
+            failing = float((simulate(designs, model, threads=1).outcome == 2).mean())
+            found[name].append((capacity, failing, required(bearing, model, designs[:256, 7:])))
+    head("rims", "median capacity, PGV [m/s]", "over rigid", "P(failure)", "D_tot for 10 % [m]", "over rigid")
+    rigid = np.array(found["rigid"])
+    for name, values in found.items():
+        capacity, failing, needed = np.array(values).T
+        ratios = spread(capacity / rigid[:, 0]), spread(needed / rigid[:, 2])
+        line(name, spread(capacity), ratios[0], spread(failing, 3), spread(needed), ratios[1])
+
+
 def main():
-    options = asked(__doc__, breaking=60, yielding=60, seed=1, out=Path)
+    options = asked(__doc__, breaking=0, yielding=0, bearings=0, seed=1, out=Path)
+    if options.bearings:
+        compare_types(options.bearings, options.seed)
     rows = Rows(options.out, seed=options.seed)
     for kind in ("breaking", "yielding"):
         n = getattr(options, kind)
+        if not n:
+            continue
         X = uniform(3 * n + 50, options.seed)
         X = X[simulate(X, threads=1).outcome > 0][:n]
         cases = list(zip(X, models(kind, n, options.seed), strict=True))

@@ -141,9 +141,8 @@ def vertex_force(u, w, du, dw, plate):
     dish = _contact_force(-u / distance, height / distance, penetration, du, dw, plate.dish_damping, None, None, plate)
     force_u, force_w, rim, dissipation, stored = dish.u, dish.w, 0.0 * dish.rim, dish.dissipation, dish.stored
     demand = rim
-    penetration = _into_rim(u, w, plate)
-    if any_positive(penetration):
-        limits = plate.strength, plate.yield_penetration
+    if any_positive(where(plate.rim_top - w, abs(u) - plate.rim_distance)):
+        penetration, limits = _into_rim(u, w, plate), (plate.strength, plate.yield_penetration)
         wall = _contact_force(-sign(u), 0.0 * u, penetration, du, dw, plate.rim_damping, *limits, plate)
         force_u, force_w, rim, demand = force_u + wall.u, force_w + wall.w, wall.rim, wall.demand
         dissipation, stored = dissipation + wall.dissipation, stored + wall.stored
@@ -222,10 +221,9 @@ def vertex_jacobian(u, w, du, dw, plate):
     summed = _contact_jacobian(
         -u * inverse, height * inverse, penetration, inverse, du, dw, plate.dish_damping, None, None, plate
     )
-    penetration = _into_rim(u, w, plate)
-    if any_positive(penetration):
+    if any_positive(where(plate.rim_top - w, abs(u) - plate.rim_distance)):
         flat = 0.0 * u
-        limits = plate.strength, plate.yield_penetration
+        penetration, limits = _into_rim(u, w, plate), (plate.strength, plate.yield_penetration)
         rim = _contact_jacobian(-sign(u), flat, penetration, flat, du, dw, plate.rim_damping, *limits, plate)
         summed = axpy(1.0, summed, rim)
     return summed

@@ -178,7 +178,7 @@ class Vertices(NamedTuple):
     w: Lanes
     du: Lanes
     dw: Lanes
-    plate: Plate  # with lanes as attributes
+    plate: Plate  # with lanes as attributes, except the strength
 
 
 @njit(**INLINE)
@@ -205,8 +205,9 @@ def vertices(system, q, v):
         _sides(bottom.rim_damping, top.rim_damping),
         _sides(bottom.mu, top.mu),
         _sides(bottom.friction_velocity, top.friction_velocity),
-        _sides(bottom.strength, top.strength),
-        _sides(bottom.yield_penetration, top.yield_penetration),
+        # The same for both plates, so that they are spread over lanes only where a rim is touched.
+        bottom.strength,
+        bottom.yield_penetration,
         _sides(bottom.left, top.left),
         _sides(bottom.right, top.right),
     )

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from patience import PATIENCE
 
-from activefail.bearing import Accelerogram, Bearing, Pulse, Response, Tolerance, simulate_one
+from activefail.bearing import Accelerogram, Bearing, Model, Pulse, Response, Tolerance, simulate_one
 from activefail.bearing.contact import gap
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever
@@ -209,6 +209,31 @@ def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
         assert np.abs(rim[:, 0]).min() == pytest.approx(plate.rim_distance)
         assert rim[:, 1].max() == pytest.approx(plate.rim_top)
     assert outline[:, 1].max() == pytest.approx(plate.rim_top)
+
+
+def test_a_rim_that_yields_is_drawn_further_out_a_broken_one_as_an_outline_and_an_absent_one_not_at_all():
+    def at_the_end(**rims) -> tuple[Response, m.BearingDrawing]:
+        response = simulate_one(FAILING, Pulse(2.5, 0.27 * GRAVITY), Model(**rims))
+        return response, drawn(response, response.t[-1])
+
+    strong, drawing = at_the_end(rim="yielding", rim_strength=0.6, rim_deformation=0.15)
+    assert strong.outcome_name == "impact"
+    edge = FAILING.dish_diameter / 2.0
+    (bottom_left, bottom_right), (top_left, _) = drawing._bottom_rims, drawing._top_rims
+    assert bottom_left.get_xy()[:, 0].max() == pytest.approx(-edge - strong.rims[-1, 0])
+    assert bottom_right.get_xy()[:, 0].min() == pytest.approx(edge + strong.rims[-1, 1])
+    assert top_left.get_xy()[:, 0].max() == pytest.approx(strong.q[-1, 3] - edge - strong.rims[-1, 2])
+    assert strong.rims[-1].min() > 0.01
+    weak, drawing = at_the_end(rim="breaking", rim_strength=0.6)
+    assert weak.cause_name == "rim_fracture"
+    assert [rim.get_fill() for rim in drawing._bottom_rims] == [False, True]
+    none, drawing = at_the_end(rim="none")
+    assert none.cause_name == "escape"
+    assert drawing._bottom_rims == drawing._top_rims == []
+    assert m.OVER_RIM in m.vertex_states(Motion(none), none.t[-1])
+    for response in (strong, weak, none):
+        assert m.plot_response(response).axes
+        assert m.plot_snapshots(response).axes
 
 
 def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
