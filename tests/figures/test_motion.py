@@ -223,7 +223,7 @@ def test_a_rim_that_yields_is_drawn_further_out_a_broken_one_as_an_outline_and_a
     assert bottom_left.get_xy()[:, 0].max() == pytest.approx(-edge - strong.rims[-1, 0])
     assert bottom_right.get_xy()[:, 0].min() == pytest.approx(edge + strong.rims[-1, 1])
     assert top_left.get_xy()[:, 0].max() == pytest.approx(strong.q[-1, 3] - edge - strong.rims[-1, 2])
-    assert strong.rims[-1].min() > 0.01
+    assert strong.rims[-1].min() > 5e-3
     weak, drawing = at_the_end(rim="breaking", rim_strength=0.6)
     assert weak.cause_name == "rim_fracture"
     assert [rim.get_fill() for rim in drawing._bottom_rims] == [False, True]
