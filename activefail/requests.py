@@ -53,6 +53,9 @@ MODEL = Option(
         ),
         "restitution": Option("Mass that sets the contact damping: pairwise or assembly.", str, default="pairwise"),
         "friction_velocity": Option("Velocity over which friction is regularised [m/s].", float, default=1e-3),
+        "rim": Option("Type of the rims: rigid, breaking, yielding or none.", str, default="rigid"),
+        "rim_strength": Option("Force at which a rim breaks or yields, over the weight.", float),
+        "rim_deformation": Option("Plastic deformation at which a yielding rim breaks [m].", float),
     },
 )
 TOLERANCE = Option(

@@ -51,14 +51,14 @@ REPEATS = 5
 
 def pack(constants):
     """A system as an array: passing the tuple itself from Python costs a peer more than the right-hand side."""
-    return np.array([*constants[:7], *constants.bottom, *constants.top, *constants.motion])
+    return np.array([*constants[:8], *constants.bottom, *constants.top, *constants.motion])
 
 
 @njit
 def _unpack(p):
-    bottom = Plate(p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14])
-    top = Plate(p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22])
-    return System(p[0], p[1], p[2], p[3], p[4], p[5], p[6], bottom, top, Ricker(p[23], p[24]))
+    bottom = Plate(p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15], p[16], p[17], p[18], p[19])
+    top = Plate(p[20], p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29], p[30], p[31])
+    return System(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], bottom, top, Ricker(p[32], p[33]))
 
 
 @njit

@@ -261,6 +261,8 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         ([*design(), "--tolerance", "1"], ["1e-12 <= relative <= 1e-2", "got 1.0"]),
         ([*design(), "--slider-diameter", "0"], ["`slider_diameter > 0` must hold, got 0.0"]),
         ([*design(), "--friction-velocity", "-1"], ["`friction_velocity > 0` must hold, got -1.0"]),
+        ([*design(), "--rim", "breaking"], ['rim = "breaking" requires `rim_strength`']),
+        ([*design(), "--rim-strength", "0.8"], ['rim = "rigid" cannot be combined with `rim_strength`, got 0.8']),
     ],
 )
 def test_a_design_or_options_that_break_a_rule_are_refused(

@@ -111,9 +111,13 @@ def barrier(system, confinement):
         _least_raised(bottom, at_rim_below, top, upright, limit),
         _least_raised(top, at_rim_above, bottom, upright, limit),
     )
-    escape = min(
-        _least_raised(bottom, on_bottom * plate.rim_top, top, upright, limit),
-        _least_raised(top, on_top * plate.rim_top, bottom, upright, limit),
+    # A vertex escapes beyond the edge of a dish, even if there is no rim to rise above.
+    escape = max(
+        touch,
+        min(
+            _least_raised(bottom, on_bottom * plate.rim_top, top, upright, limit),
+            _least_raised(top, on_top * plate.rim_top, bottom, upright, limit),
+        ),
     )
     overturning = bottom.corner + top.corner + (bottom.lift + top.lift) * math.sin(limit) + upright * math.cos(limit)
     failure = min(escape, overturning)

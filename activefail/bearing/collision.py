@@ -16,10 +16,11 @@ second passes.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from activefail.bearing.contact import Plate, gap, vertex_force
+from activefail.bearing.contact import Plate, gap, vertex_force, with_arc
 from activefail.bearing.design import GRAVITY, Model, table_1_rows
 from activefail.bearing.ground import Ricker, acceleration, is_harmless, shaking_of
 from activefail.bearing.kernels import kernel
@@ -40,6 +41,30 @@ _LONGEST_STEP = 1e-3
 
 _AFTERMATH = 1.0
 """Time simulated after the ground motion [s]."""
+
+
+class Choices(NamedTuple):
+    """What a `Model` says of a collision."""
+
+    slider_diameter: float  # D_sl [m]
+    slider_density: float  # [kg/m3]
+    restitution: float  # e
+    damping_ratio: float  # of the contacts
+    assembly: bool  # whether the damper has the plate's mass
+    rim_strength: float  # over M g
+    rim_deformation: float  # plastic, at which a rim breaks [m]
+
+    @classmethod
+    def of(cls, model: Model) -> "Choices":
+        """Those of a model."""
+        return cls(
+            model.slider_diameter,
+            model.slider_density,
+            model.restitution_coefficient,
+            model.damping_ratio,
+            model.restitution == "assembly",
+            *model.rim_limits,
+        )
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -70,7 +95,9 @@ def _step(plate, plate_mass, inertia, half_width, half_height, speed):
 
 
 @kernel(nogil=True, error_model="numpy")
-def collide(plate, plate_mass, half_width, half_height, rim_height, length, touch, motion, t, x, dx, speed):
+def collide(
+    plate, plate_mass, half_width, half_height, rim_height, length, touch, motion, t, x, dx, speed, deformation=math.inf
+):
     """How close to failure a bearing comes after time t, when its seated slider is at x [m] with velocity dx [m/s].
 
     Args:
@@ -83,11 +110,13 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
         motion: of the ground, a `Ricker` or a `Scaled`.
         t, x, dx: time, displacement and velocity at the start.
         speed: expected speed at the first touch [m/s], which determines the step.
+        deformation: plastic, at which a rim breaks [m].
 
     Returns:
         lift: √ of the largest confinement gap over h_rim; beyond h_rim the gap is extrapolated as a ballistic throw,
             gap + rate²/2g.
-        tilt: largest |θ| over the overturning angle atan(D_sl/h_sl).
+        tilt: largest |θ| over the overturning angle atan(D_sl/h_sl), or the largest deformation of a rim over that at
+            which it breaks, elastic and plastic.
     """
     diameter = 2.0 * half_width
     inertia = _INERTIA * plate_mass * diameter * diameter
@@ -98,6 +127,7 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
     # When seated, the centres of the two circles of vertices are L plus the static penetrations apart.
     static = (0.5 * plate_mass * GRAVITY / plate.stiffness) ** (2.0 / 3.0)
     length += 2.0 * static
+    breaks = plate.yield_penetration + deformation
     reach = GRAVITY * (length - math.sqrt(length * length - touch * touch))
 
     theta = math.asin(x / length)
@@ -117,6 +147,12 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
             force_z += force.w
             torque += r_x * force.w - r_z * force.u
             least_gap = min(least_gap, gap(u, w, plate))
+            if force.rim > 0.0 or force.demand > plate.strength:
+                deepest = abs(u) - plate.rim_distance
+                tilt = max(tilt, deepest / breaks)
+                if force.demand > plate.strength:
+                    arc = plate.right if u > 0.0 else plate.left
+                    plate = with_arc(plate, u, max(arc, deepest - plate.yield_penetration))
         # The slider falls onto the bottom plate, so the gap at the top plate is the sum of both.
         both = 2.0 * least_gap
         if both > rim_height:
@@ -141,8 +177,9 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
 
 
 @kernel(nogil=True, error_model="numpy")
-def severity_of(bearing, motion, slider_diameter, density, restitution, damping_ratio, assembly, steps):
+def severity_of(bearing, motion, choices, steps):
     """How close to failure a bearing, (7,), comes under a ground motion (`collision_severity`)."""
+    slider_diameter = choices.slider_diameter
     T_b, mu, D_tot, h_sl_ratio = bearing[0], bearing[1], bearing[2], bearing[3]
     h_rim_ratio, p, k = bearing[4], bearing[5], bearing[6]
     rate = T_b / (2.0 * math.pi)
@@ -157,21 +194,25 @@ def severity_of(bearing, motion, slider_diameter, density, restitution, damping_
     touch = touching_displacement(half_dish, half_width, length, slider_height)
     stiffness = GRAVITY / length
     friction = mu * 2.0 * radius * stiffness
-    block = slide(stiffness, friction, touch, restitution, motion, steps)
+    block = slide(stiffness, friction, touch, choices.restitution, motion, steps)
     if not block.first_speed > 0.0:
         return 0.0
     area = math.pi * half_width * half_width
-    plate_mass, slider_mass = p * 1e6 * area / GRAVITY, density * area * slider_height
-    dish_mass, rim_mass = (plate_mass, 2.0 * plate_mass) if assembly else (slider_mass, slider_mass)
+    plate_mass, slider_mass = p * 1e6 * area / GRAVITY, choices.slider_density * area * slider_height
+    dish_mass, rim_mass = (plate_mass, 2.0 * plate_mass) if choices.assembly else (slider_mass, slider_mass)
     plate = Plate(
         radius,
         half_dish,
         radius - math.sqrt(radius * radius - half_dish * half_dish) + rim_height,
         k,
-        2.0 * damping_ratio * math.sqrt(dish_mass * k),
-        2.0 * damping_ratio * math.sqrt(rim_mass * k),
+        2.0 * choices.damping_ratio * math.sqrt(dish_mass * k),
+        2.0 * choices.damping_ratio * math.sqrt(rim_mass * k),
         mu,
         _FRICTION_VELOCITY,
+        choices.rim_strength * plate_mass * GRAVITY,
+        (choices.rim_strength * plate_mass * GRAVITY / k) ** (2.0 / 3.0),
+        0.0,
+        0.0,
     )
     motion_begin, _, _ = shaking_of(motion)
     begin = max(block.first_time - _LEAD, motion_begin)
@@ -189,20 +230,19 @@ def severity_of(bearing, motion, slider_diameter, density, restitution, damping_
         x,
         dx,
         block.first_speed,
+        choices.rim_deformation,
     )
     return max(lift, tilt)
 
 
 @kernel(nogil=True, error_model="numpy")
-def _severities(X, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
+def _severities(X, choices, steps, out):
     for row in range(len(X)):
         T_p, A_p = X[row, 7], X[row, 8]
         # Also false for NaN.
         if 0.0 < T_p < math.inf and abs(A_p) < math.inf:
             motion = Ricker(A_p * GRAVITY, T_p)
-            out[row] = severity_of(
-                X[row, :7], motion, slider_diameter, density, restitution, damping_ratio, assembly, steps
-            )
+            out[row] = severity_of(X[row, :7], motion, choices, steps)
 
 
 def collision_severity(X: Array, model: Model | None = None) -> Array:
@@ -212,24 +252,14 @@ def collision_severity(X: Array, model: Model | None = None) -> Array:
 
     Args:
         X: (n, 9) designs in Table 1's order and units.
-        model: source of slider diameter, density and restitution.
+        model: source of slider diameter, density, restitution and rims.
 
     Raises:
         InputError: if X has another shape or does not contain numbers.
     """
-    model = model or Model()
     X = table_1_rows(X)
     out = np.full(len(X), np.nan)
-    _severities(
-        X,
-        model.slider_diameter,
-        model.slider_density,
-        model.restitution_coefficient,
-        model.damping_ratio,
-        model.restitution == "assembly",
-        STEPS,
-        out,
-    )
+    _severities(X, Choices.of(model or Model()), STEPS, out)
     return out
 
 

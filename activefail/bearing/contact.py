@@ -4,9 +4,11 @@ All quantities are in the plate's frame: u is the horizontal distance of the ver
 the right) and w its height above the dish's apex, towards the slider. In this frame both plates are alike.
 """
 
+import math
 from typing import NamedTuple
 
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
 from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.lanes import any_positive, positive, sign, sqrt, where
@@ -27,6 +29,10 @@ class Plate(NamedTuple):
     rim_damping: float  # the same on the rim
     mu: float  # friction coefficient [-]
     friction_velocity: float  # v_r [m/s]
+    strength: float = math.inf  # normal force at which the rim yields [N]; infinite if it is rigid
+    yield_penetration: float = math.inf  # at which the Hertz spring has that force [m]
+    left: float = 0.0  # plastic deformation of the rim's left arc [m]; infinite if it is broken
+    right: float = 0.0
 
 
 class Force(NamedTuple):
@@ -35,6 +41,7 @@ class Force(NamedTuple):
     u: float  # horizontal force [N]
     w: float  # force away from the plate [N]
     rim: float  # normal force of the rim [N]
+    demand: float  # that of a rim that does not yield [N]
     dissipation: float  # power of friction and damper, positive when energy is lost [W]
     stored: float  # elastic energy [J]
 
@@ -46,34 +53,80 @@ def gap(u, w, plate):
     return plate.radius - sqrt(u * u + height * height)
 
 
-@kernel(**KERNEL)
-def meets_rim(u, w, plate):
-    """Whether a vertex penetrates the rim, which extends downwards without end."""
-    return abs(u) > plate.rim_distance and w < plate.rim_top
+@njit(**INLINE)
+def with_arc(plate, u, deformation):
+    """A plate with this plastic deformation [m] of the arc on the side of u."""
+    return Plate(
+        plate.radius,
+        plate.rim_distance,
+        plate.rim_top,
+        plate.stiffness,
+        plate.dish_damping,
+        plate.rim_damping,
+        plate.mu,
+        plate.friction_velocity,
+        plate.strength,
+        plate.yield_penetration,
+        plate.left if u > 0.0 else deformation,
+        deformation if u > 0.0 else plate.right,
+    )
 
 
 @njit(**INLINE)
-def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
-    """Force of one contact with inward normal n: Hertz, damped while approaching [Jankowski2006], and friction."""
+def beyond_rim(u, plate):
+    """Distance of a vertex beyond the rim's wall, which stands where plastic deformation has left it [m]."""
+    return abs(u) - (plate.rim_distance + (where(u, plate.right) + where(0.0 - u, plate.left)))
+
+
+@kernel(**KERNEL)
+def meets_rim(u, w, plate):
+    """Whether a vertex penetrates the rim, which extends downwards without end."""
+    return beyond_rim(u, plate) > 0.0 and w < plate.rim_top
+
+
+def _excess(value, limit):
+    """Part of a value above its limit; 0 if that is None."""
+    raise NotImplementedError
+
+
+@overload(_excess, jit_options=INLINE)
+def _excess_overload(value, limit):
+    if isinstance(limit, types.NoneType):
+        return lambda value, limit: 0.0
+    return lambda value, limit: positive(value - limit)
+
+
+@njit(**INLINE)
+def _contact_force(n_u, n_w, penetration, du, dw, damping, strength, yield_penetration, plate):
+    """Force of one contact with inward normal n: Hertz, damped while approaching [Jankowski2006], and friction.
+
+    The normal force is at most `strength`, and the spring's beyond `yield_penetration` constant, unless these are None.
+    The wall moves between steps (`rims`); within a step, the stored energy includes the plastic work.
+    """
     rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
-    depth = positive(penetration)
+    whole = positive(penetration)
+    plastic = _excess(whole, yield_penetration)
+    depth = whole - plastic
     root = sqrt(depth)
     damper = damping * sqrt(root) * positive(rate)
     normal = plate.stiffness * depth * root + damper
+    excess = _excess(normal, strength)
+    normal = normal - excess
     friction = -plate.mu * normal * slip / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
     return Force(
         normal * n_u + friction * n_w,
         normal * n_w - friction * n_u,
         normal,
-        damper * rate - friction * slip,
-        0.4 * plate.stiffness * depth * depth * root,
+        plate.stiffness * whole * sqrt(whole) + damper,
+        (damper - excess) * rate - friction * slip,
+        (0.4 * plate.stiffness * depth * depth + plate.stiffness * (plastic * depth)) * root,
     )
 
 
 @njit(**INLINE)
 def _into_rim(u, w, plate):
     """Penetration of the rim [m], positive only for a vertex in contact with it."""
-    return where(plate.rim_top - w, abs(u) - plate.rim_distance)
+    return where(plate.rim_top - w, beyond_rim(u, plate))
 
 
 @njit(**INLINE)
@@ -85,18 +138,19 @@ def vertex_force(u, w, du, dw, plate):
     height = plate.radius - w
     distance = sqrt(u * u + height * height)
     penetration = where(height, distance - plate.radius)
-    dish = _contact_force(-u / distance, height / distance, penetration, du, dw, plate.dish_damping, plate)
+    dish = _contact_force(-u / distance, height / distance, penetration, du, dw, plate.dish_damping, None, None, plate)
     force_u, force_w, rim, dissipation, stored = dish.u, dish.w, 0.0 * dish.rim, dish.dissipation, dish.stored
-    penetration = _into_rim(u, w, plate)
-    if any_positive(penetration):
-        wall = _contact_force(-sign(u), 0.0 * u, penetration, du, dw, plate.rim_damping, plate)
-        force_u, force_w, rim = force_u + wall.u, force_w + wall.w, wall.rim
+    demand = rim
+    if any_positive(where(plate.rim_top - w, abs(u) - plate.rim_distance)):
+        penetration, limits = _into_rim(u, w, plate), (plate.strength, plate.yield_penetration)
+        wall = _contact_force(-sign(u), 0.0 * u, penetration, du, dw, plate.rim_damping, *limits, plate)
+        force_u, force_w, rim, demand = force_u + wall.u, force_w + wall.w, wall.rim, wall.demand
         dissipation, stored = dissipation + wall.dissipation, stored + wall.stored
-    return Force(force_u, force_w, rim, dissipation, stored)
+    return Force(force_u, force_w, rim, demand, dissipation, stored)
 
 
 @njit(**INLINE)
-def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
+def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, strength, yield_penetration, plate):
     """Force of one contact and its derivatives, a tuple of 10.
 
     (F_u, F_w, then ∂F_u and ∂F_w with respect to u, w, du, dw). The normal n turns by `curvature` [1/m] along the
@@ -105,13 +159,20 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     t_u, t_w = n_w, -n_u
     rate, slip = -(du * n_u + dw * n_w), du * t_u + dw * t_w
     depth = positive(penetration)
+    plastic = _excess(depth, yield_penetration)
+    depth = depth - plastic
     root = sqrt(depth)
     normal_by_rate = where(rate, damping * sqrt(root))
     normal = plate.stiffness * depth * root + normal_by_rate * rate
+    excess = _excess(normal, strength)
+    normal = normal - excess
     # dN/dδ of the damper, c δ̇ / (4 δ^(3/4)), is singular at first touch.
     floored = LEAST_PENETRATION + positive(depth - LEAST_PENETRATION)
     singular = 0.25 * damping * positive(rate) * sqrt(sqrt(floored)) / floored
     normal_by_penetration = 1.5 * plate.stiffness * root + where(penetration, singular)
+    # At the strength the normal force is constant.
+    normal_by_penetration = normal_by_penetration - where(excess + plastic, normal_by_penetration)
+    normal_by_rate = normal_by_rate - where(excess + plastic, normal_by_rate)
     norm = 1.0 / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
     share = slip * norm
     friction = -plate.mu * normal * share
@@ -157,10 +218,12 @@ def vertex_jacobian(u, w, du, dw, plate):
     distance = sqrt(u * u + height * height)
     penetration = where(height, distance - plate.radius)
     inverse = 1.0 / distance
-    summed = _contact_jacobian(-u * inverse, height * inverse, penetration, inverse, du, dw, plate.dish_damping, plate)
-    penetration = _into_rim(u, w, plate)
-    if any_positive(penetration):
+    summed = _contact_jacobian(
+        -u * inverse, height * inverse, penetration, inverse, du, dw, plate.dish_damping, None, None, plate
+    )
+    if any_positive(where(plate.rim_top - w, abs(u) - plate.rim_distance)):
         flat = 0.0 * u
-        rim = _contact_jacobian(-sign(u), flat, penetration, flat, du, dw, plate.rim_damping, plate)
+        penetration, limits = _into_rim(u, w, plate), (plate.strength, plate.yield_penetration)
+        rim = _contact_jacobian(-sign(u), flat, penetration, flat, du, dw, plate.rim_damping, *limits, plate)
         summed = axpy(1.0, summed, rim)
     return summed

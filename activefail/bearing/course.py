@@ -9,7 +9,7 @@ import math
 from numba import njit, types
 from numba.extending import overload
 
-from activefail.bearing.dynamics import System
+from activefail.bearing.dynamics import with_parts
 from activefail.bearing.ground import Samples, Segment, is_type
 from activefail.bearing.kernels import INLINE
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
@@ -93,18 +93,7 @@ def _from_sample(system, samples, k):
             motion = Segment(a[k], (a[k + 1] - a[k]) / dt, k * dt, up[k], (up[k + 1] - up[k]) / dt)
         else:
             motion = Segment(0.0, 0.0, k * dt, 0.0, 0.0)
-        return System(
-            system.slider_mass,
-            system.slider_inertia,
-            system.plate_mass,
-            system.half_width,
-            system.half_height,
-            system.rim_height,
-            system.tilt_limit,
-            system.bottom,
-            system.top,
-            motion,
-        )
+        return with_parts(system, system.bottom, system.top, motion)
 
     return _of(samples, of_pulse, of_samples)
 

@@ -177,6 +177,14 @@ class Pulse:
 
 RESTITUTIONS = ("pairwise", "assembly")
 
+RIMS: dict[str, tuple[str, ...]] = {
+    "rigid": (),
+    "breaking": ("rim_strength",),
+    "yielding": ("rim_strength", "rim_deformation"),
+    "none": (),
+}
+"""Types of rim, with the settings that each requires; no other type takes them."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -190,9 +198,13 @@ class Model:
         slider_density: ρ [kg/m³]; steel.
         friction_velocity: v_r over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that a plate's rim no longer holds counts as failure.
+        rim: type of the rims: "rigid" (the paper), "breaking" at `rim_strength`, "yielding" there until it breaks at
+            `rim_deformation`, or "none", a flat plate. A slider beyond the edge of a dish where no rim is left fails.
+        rim_strength: largest normal force on a rim over the weight M g [-].
+        rim_deformation: plastic deformation at which a yielding rim breaks [m].
 
     Raises:
-        InputError: if a value is outside its range.
+        InputError: if a value is outside its range, or the type of rim requires or excludes it.
     """
 
     slider_diameter: float = 0.30
@@ -201,6 +213,9 @@ class Model:
     slider_density: float = 7850.0
     friction_velocity: float = 1e-3
     loss_of_confinement: bool = True
+    rim: str = "rigid"
+    rim_strength: float | None = None
+    rim_deformation: float | None = None
 
     def __post_init__(self) -> None:
         _require_positive(
@@ -212,6 +227,27 @@ class Model:
             raise InputError(f"`0 < restitution_coefficient <= 1` must hold, got {self.restitution_coefficient}.")
         if self.restitution not in RESTITUTIONS:
             raise InputError(f"`restitution` must be one of {', '.join(RESTITUTIONS)}, got {self.restitution!r}.")
+        if self.rim not in RIMS:
+            raise InputError(f"`rim` must be one of {', '.join(RIMS)}, got {self.rim!r}.")
+        for name in RIMS["yielding"]:
+            value, is_needed = getattr(self, name), name in RIMS[self.rim]
+            if (value is not None) != is_needed:
+                words = "requires" if is_needed else "cannot be combined with"
+                raise InputError(f'rim = "{self.rim}" {words} `{name}`{"" if is_needed else f", got {value}"}.')
+        if self.rim_strength is not None and not 0.0 <= self.rim_strength < math.inf:
+            raise InputError(f"`0 <= rim_strength < inf` must hold, got {self.rim_strength}.")
+        if self.rim_deformation is not None and not 0.0 < self.rim_deformation <= self.slider_diameter / 2.0:
+            raise InputError(
+                f"`0 < rim_deformation <= slider_diameter / 2` must hold, got {self.rim_deformation} and "
+                f"{self.slider_diameter} m."
+            )
+
+    @property
+    def rim_limits(self) -> tuple[float, float]:
+        """Strength over M g [-] and plastic deformation [m] that break a rim: infinite if rigid, 0 without one."""
+        if self.rim == "rigid":
+            return math.inf, math.inf
+        return self.rim_strength or 0.0, self.rim_deformation or 0.0
 
     @property
     def damping_ratio(self) -> float:

@@ -31,6 +31,7 @@ class System(NamedTuple):
     half_height: float  # h_sl/2 [m]
     rim_height: float  # h_rim [m]
     tilt_limit: float  # tilt beyond which the slider overturns [rad]
+    rim_deformation: float  # plastic deformation at which an arc of a rim breaks [m]; infinite if it is rigid
     bottom: Plate
     top: Plate
     motion: Ricker | Segment  # of the ground
@@ -54,6 +55,8 @@ def system(bearing: Bearing, motion: Pulse | Segment, model: Model) -> System:
         masses = ((slider_mass, slider_mass), (pair, pair))
     else:
         masses = ((plate_mass, 2.0 * plate_mass), (plate_mass, 2.0 * plate_mass))
+    strength, deformation = model.rim_limits
+    yields = (strength * plate_mass * GRAVITY / bearing.stiffness) ** (2.0 / 3.0)
     half_dish = bearing.dish_diameter / 2.0
     edge = bearing.radius - math.sqrt(bearing.radius**2 - half_dish**2)
 
@@ -61,12 +64,14 @@ def system(bearing: Bearing, motion: Pulse | Segment, model: Model) -> System:
         return Plate(
             radius=float(bearing.radius),
             rim_distance=half_dish,
-            rim_top=edge + bearing.rim_height,
+            rim_top=-math.inf if model.rim == "none" else edge + bearing.rim_height,
             stiffness=float(bearing.stiffness),
             dish_damping=2.0 * model.damping_ratio * math.sqrt(dish_mass * bearing.stiffness),
             rim_damping=2.0 * model.damping_ratio * math.sqrt(rim_mass * bearing.stiffness),
             mu=float(bearing.mu),
             friction_velocity=float(model.friction_velocity),
+            strength=bearing.stiffness * yields * math.sqrt(yields),
+            yield_penetration=yields,
         )
 
     return System(
@@ -77,9 +82,28 @@ def system(bearing: Bearing, motion: Pulse | Segment, model: Model) -> System:
         half_height=bearing.slider_height / 2.0,
         rim_height=float(bearing.rim_height),
         tilt_limit=math.atan2(bearing.slider_diameter, bearing.slider_height),
+        rim_deformation=deformation,
         bottom=plate(*masses[0]),
         top=plate(*masses[1]),
         motion=Ricker(float(motion.amplitude), float(motion.period)) if isinstance(motion, Pulse) else motion,
+    )
+
+
+@njit(**INLINE)
+def with_parts(system, bottom, top, motion):
+    """A system with these plates and this motion of the ground, which may be of another type."""
+    return System(
+        system.slider_mass,
+        system.slider_inertia,
+        system.plate_mass,
+        system.half_width,
+        system.half_height,
+        system.rim_height,
+        system.tilt_limit,
+        system.rim_deformation,
+        bottom,
+        top,
+        motion,
     )
 
 
@@ -154,7 +178,7 @@ class Vertices(NamedTuple):
     w: Lanes
     du: Lanes
     dw: Lanes
-    plate: Plate  # with lanes as attributes
+    plate: Plate  # with lanes as attributes, except the strength
 
 
 @njit(**INLINE)
@@ -181,6 +205,11 @@ def vertices(system, q, v):
         _sides(bottom.rim_damping, top.rim_damping),
         _sides(bottom.mu, top.mu),
         _sides(bottom.friction_velocity, top.friction_velocity),
+        # The same for both plates, so that they are spread over lanes only where a rim is touched.
+        bottom.strength,
+        bottom.yield_penetration,
+        _sides(bottom.left, top.left),
+        _sides(bottom.right, top.right),
     )
     u = r_x + _sides(q[0], q[0] - q[3])
     w = up * r_z + _sides(q[1], q[4] - q[1])

@@ -6,7 +6,7 @@ import numpy as np
 
 from activefail.bearing import outcome as o
 from activefail.bearing.accelerogram import STILL, Accelerogram
-from activefail.bearing.contact import gap, vertex_force
+from activefail.bearing.contact import Plate, gap, vertex_force, with_arc
 from activefail.bearing.design import GRAVITY, Pulse
 from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
 from activefail.bearing.kernels import kernel
@@ -21,14 +21,16 @@ LONGEST_STEP = 0.01
 
 
 @kernel(error_model="numpy")
-def _watch(system, q, v, gaps, rims):
+def _watch(system, q, v, arcs, gaps, rims):
     """Compute confinement gaps [m] and normal rim forces [N] along a motion.
 
-    q, v: (n, 5); gaps, rims: (n, 2), outputs; column 0 is the bottom plate, column 1 the top plate.
+    q, v: (n, 5); arcs: (n, 4), deformations of the rims [m]; gaps, rims: (n, 2), outputs; column 0 is the bottom plate,
+    column 1 the top plate.
     """
     for row in range(len(q)):
         for side in range(2):
             plate = system.bottom if side == 0 else system.top
+            plate = with_arc(with_arc(plate, -1.0, arcs[row, 2 * side]), 1.0, arcs[row, 2 * side + 1])
             least, on_rim = math.inf, 0.0
             for vertex in (2 * side, 2 * side + 1):
                 r_x, r_z = lever(system, vertex, q[row, 2])
@@ -65,6 +67,7 @@ class Motion:
         self.steps: Array = response.t[keep]
         self._q = CubicHermiteSpline(self.steps, response.q[keep], response.v[keep])
         self._v = CubicHermiteSpline(self.steps, response.v[keep], response.a[keep])
+        self._rims = response.rims[keep]
 
     @property
     def time_label(self) -> str:
@@ -101,6 +104,25 @@ class Motion:
         v: Array = self._v(np.clip(t, self.start, self.end))
         return v
 
+    def rims(self, t: Array | float) -> Array:
+        """Deformations of the rims' arcs at times t of shape S [s], as in `Response.rims`, shape S x 4.
+
+        They are linear within a step; an arc that breaks is broken throughout its last step.
+        """
+        t = np.clip(t, self.start, self.end)
+        k = np.maximum(np.searchsorted(self.steps, t), 1)
+        before, after = self._rims[k - 1], self._rims[k]
+        share = (t - self.steps[k - 1]) / (self.steps[k] - self.steps[k - 1])
+        whole = np.isfinite(after)
+        moved = np.where(whole, after, before) - before
+        return np.where(whole, before + np.expand_dims(share, -1) * moved, math.inf)
+
+    def plates(self, t: float) -> tuple[Plate, Plate]:
+        """The bottom and the top plate with their rims at a time [s]."""
+        arcs = self.rims(t).tolist()
+        bottom, top = self.system.bottom, self.system.top
+        return bottom._replace(left=arcs[0], right=arcs[1]), top._replace(left=arcs[2], right=arcs[3])
+
     def fine_times(self) -> Array:
         """Times of the accepted steps, with steps longer than `LONGEST_STEP` divided evenly."""
         parts = np.maximum(np.ceil(np.diff(self.steps) / LONGEST_STEP).astype(np.int64), 1)
@@ -118,7 +140,7 @@ class Motion:
     def contacts(self, t: Array) -> tuple[Array, Array]:
         """Confinement gaps [m] and rim forces [N] at times t, shape (n,): two arrays (n, 2), bottom and top plate."""
         gaps, rims = np.empty((len(t), 2)), np.empty((len(t), 2))
-        _watch(self.system, self.position(t), self.velocity(t), gaps, rims)
+        _watch(self.system, self.position(t), self.velocity(t), self.rims(t), gaps, rims)
         return gaps, rims
 
     def force_ratio(self, t: Array) -> Array:

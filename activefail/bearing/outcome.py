@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.contact import gap, vertex_force
+from activefail.bearing.contact import beyond_rim, gap, vertex_force
 from activefail.bearing.dynamics import energy_of, of_plates, vertices
 from activefail.bearing.kernels import INLINE, KERNEL, kernel
 from activefail.bearing.lanes import numbers, sign
@@ -17,7 +17,7 @@ OUTCOMES = ("no_impact", "impact", "failure")
 OUTCOME_NAMES = (*OUTCOMES, "numerical_failure")
 """Names of all outcomes by index; a numerical failure, -1, is the last."""
 
-NONE, ESCAPE, LOSS_OF_CONFINEMENT, OVERTURNING, STEPS, UNDERFLOW, NOT_FINITE, NO_TOUCH = range(8)
+NONE, ESCAPE, LOSS_OF_CONFINEMENT, OVERTURNING, STEPS, UNDERFLOW, NOT_FINITE, NO_TOUCH, RIM_FRACTURE = range(9)
 CAUSES = (
     "",
     "escape",
@@ -27,8 +27,9 @@ CAUSES = (
     "step_underflow",
     "not_finite",
     "failure_without_rim_touch",
+    "rim_fracture",
 )
-"""Why a bearing failed (1 to 3, in the order of the checks) or a simulation was abandoned (4 to 7)."""
+"""Why a bearing failed (1 to 3, in the order of the checks, then 8) or a simulation was abandoned (4 to 7)."""
 
 
 class Margins(NamedTuple):
@@ -63,6 +64,7 @@ class Observation(NamedTuple):
     touch: float  # deepest rim penetration of a vertex below the top of its rim [m]
     touch_velocity: float  # velocity of that vertex towards the rim [m/s]
     rim_force: float  # larger of the two plates' sums of normal rim forces [N]
+    rim_demand: float  # largest force on a rim if it did not yield [N]
     confinement_gap: float  # larger of the two plates' smaller vertex gaps [m]
     escape: float  # distance by which a vertex is both beyond and above its rim [m]
     tilt: float  # |theta| [rad]
@@ -74,14 +76,16 @@ def _observation(system, q, at, force):
     gap_0, gap_1, gap_2, gap_3 = numbers(gap(at.u, at.w, at.plate))
     confinement_gap = max(min(gap_0, gap_1), min(gap_2, gap_3))
     on_bottom, on_top = of_plates(force.rim)
-    beyond, above = abs(at.u) - at.plate.rim_distance, at.w - at.plate.rim_top
+    below, over = of_plates(force.demand)
+    beyond, above = beyond_rim(at.u, at.plate), at.w - at.plate.rim_top
     outward = sign(at.u) * at.du
     touch, touch_velocity, escape = -math.inf, 0.0, -math.inf
     for out, up, velocity in zip(numbers(beyond), numbers(above), numbers(outward)):  # noqa: B905
         escape = max(escape, min(out, up))
         if out > touch and up < 0.0:
             touch, touch_velocity = out, velocity
-    return Observation(touch, touch_velocity, max(on_bottom, on_top), confinement_gap, escape, abs(q[2]))
+    forces = max(on_bottom, on_top), max(below, over)
+    return Observation(touch, touch_velocity, *forces, confinement_gap, escape, abs(q[2]))
 
 
 @kernel(**KERNEL)
@@ -129,4 +133,6 @@ def failure_fraction(before, after, cause, system):
         return crossing(before.escape, after.escape, 0.0)
     if cause == LOSS_OF_CONFINEMENT:
         return crossing(before.confinement_gap, after.confinement_gap, system.rim_height)
+    if cause == RIM_FRACTURE:
+        return crossing(before.rim_demand, after.rim_demand, system.bottom.strength)
     return crossing(before.tilt, after.tilt, system.tilt_limit)

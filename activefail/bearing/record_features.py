@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.collision import COLLISION_FEATURES, severity_of
+from activefail.bearing.collision import COLLISION_FEATURES, Choices, severity_of
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.ground import Samples, Scaled
 from activefail.bearing.kernels import check_compiled, kernel
@@ -24,11 +24,11 @@ _LEAST_PART = 16
 
 
 @kernel(nogil=True, error_model="numpy")
-def _under_record(X, samples, factors, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
+def _under_record(X, samples, factors, choices, steps, out):
     for row in range(len(X)):
         motion = Scaled(samples, factors[row])
-        v, a = sliding_pair(X[row], motion, slider_diameter, restitution, steps)
-        severity = severity_of(X[row], motion, slider_diameter, density, restitution, damping_ratio, assembly, steps)
+        v, a = sliding_pair(X[row], motion, choices.slider_diameter, choices.restitution, steps)
+        severity = severity_of(X[row], motion, choices, steps)
         out[row, 0], out[row, 1], out[row, 2] = v, a, np.tanh(1.5 * (severity - 1.0))
 
 
@@ -49,14 +49,14 @@ def record_features(
         records: the records.
         which: (n,) each row's record, an index into `records`.
         factors: (n,) by which each row's record is multiplied.
-        model: source of slider diameter, density and restitution.
+        model: source of slider diameter, density, restitution and rims.
         threads: number of threads; None uses all cores.
 
     Raises:
         InputError: if shapes do not agree, an index has no record, or a factor is not finite.
     """
     check_compiled()
-    model = model or Model()
+    choices = Choices.of(model or Model())
     X, which, factors = np.ascontiguousarray(X, dtype=np.float64), np.asarray(which), np.asarray(factors, np.float64)
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension - 2:
         raise InputError(
@@ -78,11 +78,7 @@ def record_features(
             X[rows],
             samples,
             factors[rows],
-            model.slider_diameter,
-            model.slider_density,
-            model.restitution_coefficient,
-            model.damping_ratio,
-            model.restitution == "assembly",
+            choices,
             STEPS,
             part,
         )

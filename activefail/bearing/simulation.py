@@ -26,9 +26,10 @@ from activefail.bearing.course import (
     to_come,
 )
 from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, Tolerance, check_designs
-from activefail.bearing.dynamics import COORDINATES, equilibrium, system
+from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
 from activefail.bearing.kernels import KERNEL, check_compiled, kernel
+from activefail.bearing.rims import most_deformed, yielded
 from activefail.errors import InputError, naming
 from activefail.space import Array
 
@@ -38,8 +39,8 @@ FREE_PERIODS = 2.5
 EVENT_STEP = 0.01
 """Longest step while a plate has no contact or a vertex is on a rim [s]: events are detected at the ends of steps."""
 
-HISTORY = 1 + 3 * COORDINATES
-"""Columns of a history: time, coordinates, velocities, accelerations."""
+HISTORY = 1 + 3 * COORDINATES + 4
+"""Columns of a history: time, coordinates, velocities, accelerations, deformations of the rims."""
 
 
 SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.025, 0.025), (1.0, 1.0, 2.0, 0.25, 0.25)
@@ -70,6 +71,8 @@ def _record(history, row, system, state):
             history[row, 1 + i] = state.q[i]
             history[row, 6 + i] = state.v[i]
             history[row, 11 + i] = a[i]
+        history[row, 16], history[row, 17] = system.bottom.left, system.bottom.right
+        history[row, 18], history[row, 19] = system.top.left, system.top.right
 
 
 @kernel(nogil=True, **KERNEL)
@@ -78,7 +81,7 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
 
     `samples` are those of an accelerogram, None for a pulse.
 
-    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
+    The accepted steps are written to `history`, shape (rows, 20), as far as it has rows. Returns a `KernelResult`.
     """
     t, motion_end, first = shaking(system, samples)
     end = motion_end + free_time
@@ -87,6 +90,7 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
     control = Control(tolerance, SCALE_Q, SCALE_V, most)
 
     weight = system.plate_mass * GRAVITY
+    strength, deformed = system.bottom.strength, 0.0
     levels = barrier(system, confinement)
     # √(kinetic energy) increases by at most this factor times the ground's impulse.
     growth = math.sqrt(0.5 * (system.plate_mass + system.slider_mass))
@@ -109,13 +113,16 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
             break
         # The outcome is settled after an impact if failure is impossible, and after the pulse if a rim touch is.
         if (touched or is_over(samples, t, motion_end)) and not to_the_end:
-            reach = levels.failure if touched else min(levels.touch, levels.failure)
+            # A rim breaks only at a touch, after the plastic work that it can still do.
+            fracture = levels.touch + strength * (system.rim_deformation - deformed)
+            reach = min(levels.failure, fracture if touched else levels.touch)
             pushed = growth * to_come(now, samples, t, sample)
             if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
                 break
         bound = longest_step(now, samples, t, state.step, sample, motion_end, longest)
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
+        began = state.q
         status, state, middle_q, middle_v = advance(now, state, control, min(bound, end - t))
         if status != ACCEPTED:
             outcome, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
@@ -142,6 +149,15 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
             clear = seen.confinement_gap <= 0.0 and seen.touch <= -system.rim_height
             thrown = seen.touch > 0.0 or (thrown and not clear)
         cause = o.failure_cause(seen, system, confinement and thrown)
+        if max(seen.rim_demand, seen_middle.rim_demand) > strength:
+            system = yielded(system, began, middle_q, middle_v, 0.5 * step)
+            system = yielded(system, middle_q, state.q, state.v, 0.5 * step)
+            deformed, stored = most_deformed(system), after.stored
+            now = from_sample(system, samples, sample)
+            after = energy(now, t, state.q, state.v)
+            dissipated += stored - after.stored
+            if cause == o.NONE and deformed == math.inf:
+                cause = o.RIM_FRACTURE
 
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
         dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
@@ -150,7 +166,8 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
         if cause != o.ESCAPE:
             peak_imbalance = max(peak_imbalance, abs(after.stored - at_rest.stored - work_in + dissipated))
         if cause != o.NONE:
-            if touched or lifts:
+            # A slider leaves a dish without a rim untouched.
+            if touched or lifts or system.bottom.rim_top == -math.inf:
                 outcome = o.FAILURE
                 failure_time = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:
@@ -217,6 +234,8 @@ class Response:
         q: (n, 5) x_s, z_s, theta, x_t, z_t [m, rad].
         v: (n, 5) their velocities [m/s, rad/s].
         a: (n, 5) their accelerations relative to the ground [m/s2, rad/s2].
+        rims: (n, 4) plastic deformations of the rims' arcs, bottom left and right, top left and right [m]; infinite for
+            a broken one.
     """
 
     bearing: Bearing
@@ -230,6 +249,7 @@ class Response:
     q: Array
     v: Array
     a: Array
+    rims: Array
 
     @property
     def outcome_name(self) -> str:
@@ -323,6 +343,7 @@ def simulate_one(
         q=history[:, 1:6],
         v=history[:, 6:11],
         a=history[:, 11:16],
+        rims=history[:, 16:],
     )
 
 

@@ -284,6 +284,11 @@ class BearingSettings(Section):
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
+        rim: "rigid", as published; "breaking" at `rim_strength`; "yielding" there, and broken at `rim_deformation`;
+            or "none", a flat plate ([rims that yield and break](../bearing.md#rims-that-yield-and-break)).
+        rim_strength: largest normal force on a rim, divided by the weight on the bearing; required with a rim that
+            breaks or yields.
+        rim_deformation: plastic deformation at which a yielding rim breaks [m]; required with one.
         tolerance: relative error per step of the integration.
     """
 
@@ -293,7 +298,18 @@ class BearingSettings(Section):
     slider_density: float = Field(7850.0, gt=0.0)
     friction_velocity: float = Field(1e-3, gt=0.0, le=0.1)
     loss_of_confinement: bool = True
+    rim: Literal["rigid", "breaking", "yielding", "none"] = "rigid"
+    rim_strength: float | None = Field(None, ge=0.0)
+    rim_deformation: float | None = Field(None, gt=0.0)
     tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
+
+    @model_validator(mode="after")
+    def _is_a_model(self) -> Self:
+        try:
+            self.model()
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
 
     def model(self) -> Model:
         """The bearing model."""

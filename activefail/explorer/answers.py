@@ -1,5 +1,6 @@
 """Answers to the explorer's requests: predictions, planes, fragility curves and simulations, as JSON values."""
 
+import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,9 +17,8 @@ from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_fragility
 from activefail.figures.motion import (
     extent,
-    plate_outline,
+    plate_parts,
     plot_histories,
-    rim_outlines,
     slider_outline,
     slider_vertices,
     vertex_states,
@@ -235,21 +235,26 @@ class Answers:
             motion = Motion(response)
         except InputError:
             return answer | {"frames": None}
-        bearing = response.bearing
+        plate, rims = plate_parts(motion)
         frames = np.linspace(motion.onset, motion.end, _FRAMES)
         at_frames = motion.position(frames)
         low, high = extent(motion)
         return answer | {
-            "plate": _listed(plate_outline(bearing), 4),
-            "rims": [_listed(outline, 4) for outline in rim_outlines(bearing)],
-            "slider": _listed(slider_outline(bearing), 4),
+            "plate": _listed(plate, 4),
+            "rims": [_listed(outline, 4) for outline in rims],
+            "slider": _listed(slider_outline(response.bearing), 4),
             "low": low.tolist(),
             "high": high.tolist(),
             "frames": {
                 "t": _listed(frames, 4),
                 "q": _listed(at_frames, 5),
                 "vertices": [_listed(slider_vertices(motion, row), 4) for row in at_frames],
-                "states": [vertex_states(motion, row) for row in at_frames],
+                "states": [vertex_states(motion, time) for time in frames.tolist()],
+                # A broken arc has no place.
+                "arcs": [
+                    [round(arc, 4) if math.isfinite(arc) else None for arc in arcs]
+                    for arcs in motion.rims(frames).tolist()
+                ],
                 "ground": _listed(motion.ground(frames) / GRAVITY, 4),
             },
         }

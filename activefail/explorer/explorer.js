@@ -159,11 +159,11 @@ function buildStage(answer) {
   const ring = { fill: "#6b7280", stroke: "#6b7280", "stroke-width": line };
   const plate = (parent) => {
     element("polygon", { points: outline(answer.plate), ...steel }, parent);
-    answer.rims.forEach((rim) => element("polygon", { points: outline(rim), ...ring }, parent));
+    return answer.rims.map((rim) => element("polygon", { points: outline(rim), ...ring }, parent));
   };
-  plate(element("g", { id: "bottom-plate" }, world));
+  const rims = [plate(element("g", { id: "bottom-plate" }, world))];
   const top = element("g", { id: "top-plate", opacity: 0.85 }, world);
-  plate(top);
+  rims.push(plate(top));
   const slider = element("g", { id: "slider" }, world);
   element("polygon", { points: outline(answer.slider), fill: "#56b4e9", stroke: "#0072b2", "stroke-width": line, opacity: 0.9 }, slider);
   const half = Math.max(...answer.slider.map((row) => row[1]));
@@ -179,7 +179,7 @@ function buildStage(answer) {
   element("path", { d: `M${x0},${foot - 0.5 * size}v${size}v${-0.5 * size}h${ruler}v${-0.5 * size}v${size}`, fill: "none", stroke: "#1b2430", "stroke-width": line }, stage);
   element("text", { id: "ruler", x: x0 + ruler + 0.5 * size, y: -(low + 0.6 * size), "font-size": 1.25 * size, fill: "#1b2430" }, stage, `${ruler} m`);
   const peak = Math.max(...answer.frames.ground.map(Math.abs), 1e-12);
-  return { top, slider, marks, arrow, line, peak, reach: 0.3 * (right - left), base: low + 2.1 * size };
+  return { rims, top, slider, marks, arrow, line, peak, reach: 0.3 * (right - left), base: low + 2.1 * size };
 }
 
 function markPath(shape, [x, z], r) {
@@ -215,6 +215,15 @@ function showFrame(k) {
   const { stage } = film;
   stage.top.setAttribute("transform", `translate(${xt},${zt}) scale(1,-1)`);
   stage.slider.setAttribute("transform", `translate(${xs},${zs}) rotate(${(theta * 180) / Math.PI})`);
+  // A rim that yields moves outwards; of a broken one the outline is left.
+  stage.rims.forEach((pair, plate) => pair.forEach((rim, side) => {
+    const arc = frames.arcs[k][2 * plate + side];
+    rim.setAttribute("transform", `translate(${(2 * side - 1) * (arc || 0)},0)`);
+    const broken = arc === null;
+    rim.setAttribute("fill", broken ? "none" : "#6b7280");
+    rim.setAttribute("stroke", broken ? "#d55e00" : "#6b7280");
+    rim.setAttribute("stroke-dasharray", broken ? `${3 * stage.line}` : "none");
+  }));
   stage.marks.forEach((mark, i) => {
     const look = MARKS[frames.states[k][i]];
     mark.setAttribute("d", markPath(look.shape, frames.vertices[k][i], 3 * stage.line));

@@ -249,12 +249,17 @@ def slider_outline(bearing: Bearing) -> Array:
     return np.vstack((bottom, -bottom))
 
 
-def plate_outline(bearing: Bearing) -> Array:
-    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from the dish's axis, w from its apex towards the slider [m]."""
+def plate_outline(bearing: Bearing, rims: bool = True) -> Array:
+    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from the dish's axis, w from its apex towards the slider [m].
+
+    Args:
+        bearing: the bearing.
+        rims: whether the outline includes them.
+    """
     half_dish = bearing.dish_diameter / 2.0
     u = np.linspace(-half_dish, half_dish, ARC_POINTS)
     w = bearing.radius - np.sqrt(bearing.radius**2 - u**2)
-    top, back = w[-1] + bearing.rim_height, -PLATE_THICKNESS * bearing.slider_diameter
+    top, back = w[-1] + rims * bearing.rim_height, -PLATE_THICKNESS * bearing.slider_diameter
     outer = half_dish + RIM_WIDTH * bearing.slider_diameter
     left = [(-outer, back), (-outer, top), (-half_dish, top)]
     right = [(half_dish, top), (outer, top), (outer, back)]
@@ -268,6 +273,12 @@ def rim_outlines(bearing: Bearing) -> tuple[Array, Array]:
     outer, top = half_dish + RIM_WIDTH * bearing.slider_diameter, edge + bearing.rim_height
     right = np.array([(half_dish, edge), (outer, edge), (outer, top), (half_dish, top)])
     return right * (-1.0, 1.0), right
+
+
+def plate_parts(motion: Motion) -> tuple[Array, tuple[Array, ...]]:
+    """Outlines of a plate and of its rims, which are empty without rims; a rigid rim is part of the plate too."""
+    bearing, kind = motion.response.bearing, motion.response.model.rim
+    return plate_outline(bearing, kind == "rigid"), () if kind == "none" else rim_outlines(bearing)
 
 
 def on_slider(outline: Array, q: Array) -> Array:
@@ -299,11 +310,11 @@ VERTEX_MARKS: tuple[dict[str, Any], ...] = (
 )
 
 
-def vertex_states(motion: Motion, q: Array) -> list[int]:
-    """The state of each of the four vertices: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
-    states = []
+def vertex_states(motion: Motion, time: float) -> list[int]:
+    """The state of each of the four vertices at a time [s]: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
+    states, q, plates = [], motion.position(time), motion.plates(time)
     for vertex in range(4):
-        plate = motion.system.bottom if vertex < 2 else motion.system.top
+        plate = plates[vertex // 2]
         u, w = seen_by_plate(vertex, *lever(motion.system, vertex, q[2]), q)
         if meets_rim(u, w, plate):
             states.append(ON_RIM)
@@ -317,7 +328,8 @@ def vertex_states(motion: Motion, q: Array) -> list[int]:
 def extent(motion: Motion) -> tuple[Array, Array]:
     """Lower left and upper right corner of a drawing of the whole motion, with a margin, shape (2,) each."""
     bearing = motion.response.bearing
-    plate, body = plate_outline(bearing), slider_outline(bearing)
+    (plate, rims), body = plate_parts(motion), slider_outline(bearing)
+    plate = np.vstack((plate, *rims))
     q = motion.position(motion.fine_times())
     bodies = [plate]
     # The polygons are outermost near the extremes of the coordinates; the margin covers the difference.
@@ -342,12 +354,11 @@ class BearingDrawing:
     def __init__(self, axes: Axes, motion: Motion) -> None:
         self.motion = motion
         bearing = motion.response.bearing
-        self._plate, self._rims, self._body = plate_outline(bearing), rim_outlines(bearing), slider_outline(bearing)
+        (self._plate, self._rims), self._body = plate_parts(motion), slider_outline(bearing)
         steel: dict[str, Any] = {"facecolor": style.LIGHT_GREY, "edgecolor": style.GREY, "linewidth": 0.9}
         ring: dict[str, Any] = {"facecolor": style.GREY, "edgecolor": style.GREY, "linewidth": 0.9}
         axes.add_patch(Polygon(self._plate, **steel, zorder=2))
-        for outline in self._rims:
-            axes.add_patch(Polygon(outline, **ring, zorder=2.1))
+        self._bottom_rims = [Polygon(outline, **ring, zorder=2.1) for outline in self._rims]
         # Upper bodies are translucent: bodies overlap where contact springs are compressed.
         self._top = Polygon(self._plate, **steel, alpha=0.8, zorder=3)
         self._top_rims = [Polygon(outline, **ring, alpha=0.8, zorder=3.1) for outline in self._rims]
@@ -355,11 +366,12 @@ class BearingDrawing:
             self._body, facecolor=style.SKY_BLUE, edgecolor=style.BLUE, linewidth=1.0, alpha=0.9, zorder=4
         )
         self._arrow = Polygon([(0.0, 0.0)] * 3, facecolor=style.PURPLE, edgecolor="none", zorder=3)
-        for patch in (self._top, *self._top_rims, self.slider, self._arrow):
+        for patch in (*self._bottom_rims, self._top, *self._top_rims, self.slider, self._arrow):
             axes.add_patch(patch)
         (self._axis,) = axes.plot([], [], color=style.BLUE, linewidth=0.8, linestyle="-.", zorder=4.1)
         self._marks = [axes.plot([], [], **VERTEX_MARK, **mark)[0] for mark in VERTEX_MARKS]
-        self.moving: list[Artist] = [self._top, *self._top_rims, self.slider, self._axis, *self._marks, self._arrow]
+        bodies = [*self._bottom_rims, self._top, *self._top_rims, self.slider]
+        self.moving: list[Artist] = [*bodies, self._axis, *self._marks, self._arrow]
         low, high = extent(motion)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set(xlabel="x [m]", ylabel="z [m]")
@@ -375,12 +387,18 @@ class BearingDrawing:
         """Show the state at a time [s], clipped to the simulated motion."""
         q = self.motion.position(time)
         self._top.set_xy(on_top_plate(self._plate, q))
-        for patch, outline in zip(self._top_rims, self._rims, strict=True):
-            patch.set_xy(on_top_plate(outline, q))
+        arcs = self.motion.rims(time).tolist()
+        for patches, places in ((self._bottom_rims, arcs[:2]), (self._top_rims, arcs[2:])):
+            for patch, outline, arc, side in zip(patches, self._rims, places, (-1.0, 1.0), strict=False):
+                whole = math.isfinite(arc)
+                at = outline + np.array((side * arc if whole else 0.0, 0.0))
+                patch.set_xy(at if patches is self._bottom_rims else on_top_plate(at, q))
+                edge, line = (style.GREY, "-") if whole else (style.VERMILION, "--")
+                patch.set(fill=whole, edgecolor=edge, linestyle=line)
         self.slider.set_xy(on_slider(self._body, q))
         half = 0.5 * self.motion.response.bearing.slider_height
         self._axis.set_data(*on_slider(np.array([(0.0, -half), (0.0, half)]), q).T)
-        vertices, states = slider_vertices(self.motion, q), np.array(vertex_states(self.motion, q))
+        vertices, states = slider_vertices(self.motion, q), np.array(vertex_states(self.motion, time))
         for state, mark in enumerate(self._marks):
             mark.set_data(*vertices[states == state].T)
         self._arrow.set_xy(self._arrow_outline(time))

@@ -1,5 +1,6 @@
 """The double friction pendulum bearing as a campaign's simulator."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,12 +15,22 @@ from activefail.errors import InputError
 from activefail.simulators.interface import Results
 from activefail.space import Array, DesignSpace
 
-_LIMITS = "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
+_LIMITS = "The bearing model is planar. {}, and there is no vertical ground motion."
+_RIMS = {
+    "rigid": "Its rims do not yield",
+    "breaking": "Its rims break at a force of {strength:g} W",
+    "yielding": "Its rims yield at a force of {strength:g} W and break at a plastic deformation of {deformation:g} m",
+    "none": "It has no rims",
+}
 
 
 def limits_of(simulator: object) -> tuple[str, ...]:
     """What the bearing model leaves out, as sentences; none for another simulator."""
-    return (_LIMITS,) if isinstance(simulator, DfpSimulator) else ()
+    if not isinstance(simulator, DfpSimulator):
+        return ()
+    strength, deformation = simulator.model.rim_limits
+    rims = _RIMS[simulator.model.rim].format(strength=strength, deformation=deformation)
+    return (_LIMITS.format(rims),)
 
 
 def terms_of(simulator: object, values: Mapping[str, float]) -> Terms | None:
@@ -42,9 +53,13 @@ class DfpSimulator:
     tolerance: Tolerance
 
     outcomes = o.OUTCOMES
-    causes = o.CAUSES
     margins = o.COLUMNS
     releases_gil = True
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes; those of rigid rims are as in records from before rims could break."""
+        return o.CAUSES if self.model.rim_limits < (math.inf, math.inf) else o.CAUSES[: o.RIM_FRACTURE]
 
     @classmethod
     def on(cls, space: DesignSpace, model: Model, tolerance: Tolerance) -> "DfpSimulator":

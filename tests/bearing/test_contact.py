@@ -50,10 +50,10 @@ def test_the_dish_pushes_along_its_normal_with_hertz_force_and_damper_and_rubs_a
 
 def test_a_vertex_above_the_dish_or_beyond_its_centre_feels_nothing():
     assert gap(*in_dish(-1e-4, 0.2), PLATE) == pytest.approx(1e-4)
-    assert tuple(vertex_force(*in_dish(-1e-4, 0.2), 1.0, -2.0, PLATE)) == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert tuple(vertex_force(*in_dish(-1e-4, 0.2), 1.0, -2.0, PLATE)) == (0.0,) * 6
     beyond = (0.0, 2.0 * PLATE.radius + 1e-3)  # penetrates the sphere's other half, which is no dish
     assert gap(*beyond, PLATE) < 0.0
-    assert tuple(vertex_force(*beyond, 1.0, 2.0, PLATE)) == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert tuple(vertex_force(*beyond, 1.0, 2.0, PLATE)) == (0.0,) * 6
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -192,12 +192,12 @@ def test_a_plate_thrown_through_the_slider_rebounds_with_e_only_under_assembly_d
     assert pairwise == pytest.approx(0.99, abs=1e-2)
 
 
-def numerical_jacobian(point: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def numerical_jacobian(point: np.ndarray, steps: np.ndarray, plate: Plate = PLATE) -> np.ndarray:
     columns = []
     for i in range(4):
         move = np.zeros(4)
         move[i] = steps[i]
-        after, before = vertex_force(*(point + move), PLATE), vertex_force(*(point - move), PLATE)
+        after, before = vertex_force(*(point + move), plate), vertex_force(*(point - move), plate)
         columns.append([(after.u - before.u) / (2.0 * steps[i]), (after.w - before.w) / (2.0 * steps[i])])
     return np.array(columns).T
 
@@ -226,6 +226,49 @@ def test_the_derivatives_of_a_contact_agree_with_finite_differences(where, appro
         numerical = numerical_jacobian(np.array([*position, *velocity]), np.array([1e-8, 1e-8, 1e-8, 1e-8]))
         analytical = np.array(derivatives).reshape(2, 4)
         np.testing.assert_allclose(analytical, numerical, rtol=1e-6, atol=3e-7 * np.abs(numerical).max())
+
+
+def yielding(penetration: float, **arcs: float) -> Plate:
+    """The plate with a rim that yields where its spring is compressed by `penetration` [m]."""
+    strength = PLATE.stiffness * penetration * math.sqrt(penetration)
+    return PLATE._replace(strength=strength, yield_penetration=penetration, **arcs)
+
+
+@pytest.mark.parametrize("approach", [-0.3, 0.3])
+@pytest.mark.parametrize("penetration", [2e-3, 5e-3])
+def test_the_force_of_a_yielding_rim_is_at_most_its_strength_and_has_its_derivatives(penetration, approach):
+    plate = yielding(3e-3)
+    at = -(plate.rim_distance + penetration), 0.098, -approach, 0.2
+    force = vertex_force(*at, plate)
+    whole = vertex_force(*at, PLATE)
+    assert whole.rim == whole.demand == force.demand if penetration < 3e-3 else force.demand > plate.strength
+    assert force.rim == pytest.approx(min(whole.rim, plate.strength), rel=1e-12)
+    # Within a step: the spring's energy to its strength, then the work of the strength.
+    elastic, plastic = min(penetration, 3e-3), max(penetration - 3e-3, 0.0)
+    stored = 0.4 * plate.stiffness * elastic**2.5 + plate.strength * plastic
+    assert force.stored == pytest.approx(stored, rel=1e-9)
+    spring = plate.stiffness * elastic**1.5
+    friction = plate.mu * force.rim * 0.2**2 / math.hypot(0.2, 1e-3)
+    assert force.dissipation == pytest.approx((force.rim - spring) * approach + friction, rel=1e-6)
+    f_u, f_w, *derivatives = vertex_jacobian(*at, plate)
+    assert (f_u, f_w) == pytest.approx((force.u, force.w), rel=1e-12)
+    numerical = numerical_jacobian(np.array(at), np.full(4, 1e-8), plate)
+    np.testing.assert_allclose(
+        np.array(derivatives).reshape(2, 4), numerical, rtol=1e-6, atol=3e-7 * np.abs(numerical).max() + 1e-2
+    )
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_deformed_arc_stands_further_out_and_the_opposite_one_where_it_was(side):
+    arcs = {"left": 0.01, "right": 0.0} if side < 0.0 else {"left": 0.0, "right": 0.01}
+    plate = yielding(3e-3, **arcs)
+    place = PLATE.rim_distance + 0.011
+    moved, same = (vertex_force(u, 0.098, 0.0, 0.0, plate) for u in (side * place, -side * place))
+    assert moved.rim == pytest.approx(PLATE.stiffness * 1e-3**1.5, rel=1e-9)
+    assert same.rim == pytest.approx(plate.strength, rel=1e-12)
+    assert not meets_rim(side * (place - 2e-3), 0.0, plate)
+    broken = plate._replace(**{name: math.inf for name, arc in arcs.items() if arc})
+    assert vertex_force(side * place, 0.098, 0.3, 0.1, broken).rim == 0.0
 
 
 def test_the_dampers_derivative_stops_growing_below_the_floor_of_penetration():

@@ -133,7 +133,7 @@ def test_the_slider_overturns_beyond_the_angle_of_its_diagonal(constants, bearin
 
 
 def test_of_several_failures_at_one_step_the_first_in_order_is_named(constants, bearing):
-    everything = Observation(0.01, 0.0, 0.0, 2.0 * bearing.rim_height, 0.0, math.pi)
+    everything = Observation(0.01, 0.0, 0.0, 0.0, 2.0 * bearing.rim_height, 0.0, math.pi)
     assert failure_cause(everything, constants, True) == outcome.ESCAPE
     assert failure_cause(everything._replace(escape=-1e-9), constants, True) == outcome.LOSS_OF_CONFINEMENT
     assert failure_cause(everything._replace(escape=-1e-9), constants, False) == outcome.OVERTURNING
@@ -146,8 +146,8 @@ def test_the_time_of_an_event_is_interpolated_between_two_steps(constants, beari
     assert crossing(1.0, 2.0, 0.0) == 1.0
     assert crossing(-2.0, -1.0, 0.0) == 1.0
     limit = math.atan(bearing.slider_diameter / bearing.slider_height)
-    before = Observation(-1.0, 0.0, 0.0, 0.0, -0.01, 0.0)
-    after = Observation(1.0, 0.0, 0.0, 2.0 * bearing.rim_height, 0.03, 4.0 * limit)
+    before = Observation(-1.0, 0.0, 0.0, 0.0, 0.0, -0.01, 0.0)
+    after = Observation(1.0, 0.0, 0.0, 0.0, 2.0 * bearing.rim_height, 0.03, 4.0 * limit)
     assert failure_fraction(before, after, outcome.ESCAPE, constants) == pytest.approx(0.25)
     assert failure_fraction(before, after, outcome.LOSS_OF_CONFINEMENT, constants) == pytest.approx(0.5)
     assert failure_fraction(before, after, outcome.OVERTURNING, constants) == pytest.approx(0.25)

@@ -94,11 +94,14 @@ def test_what_the_file_says_reaches_the_simulator() -> None:
         slider_density = 7000
         friction_velocity = 2e-3
         loss_of_confinement = false
+        rim = "yielding"
+        rim_strength = 0.8
+        rim_deformation = 0.02
         tolerance = 1e-5
         """,
         "mine.toml",
     )
-    assert settings.bearing.model() == Model(0.25, 0.5, "assembly", 7000.0, 2e-3, False)
+    assert settings.bearing.model() == Model(0.25, 0.5, "assembly", 7000.0, 2e-3, False, "yielding", 0.8, 0.02)
     assert settings.bearing.integration() == Tolerance(relative=1e-5)
 
 
@@ -109,6 +112,10 @@ def test_the_order_of_the_variables_is_the_files() -> None:
 
 # Settings that break a rule, and what the message must contain: key path, rule and value.
 BROKEN = [
+    ('bearing.rim = "soft"', "bearing.rim: must be 'rigid', 'breaking', 'yielding' or 'none', got 'soft'"),
+    ('bearing.rim = "breaking"', 'bearing: rim = "breaking" requires `rim_strength`'),
+    ("bearing.rim_strength = 0.8", 'bearing: rim = "rigid" cannot be combined with `rim_strength`, got 0.8'),
+    ("bearing.rim_strength = -1", "bearing.rim_strength: must be greater than or equal to 0, got -1"),
     ("sead = 1", "sead: unknown key; did you mean 'seed'?"),
     (
         'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',

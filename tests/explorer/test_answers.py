@@ -66,16 +66,23 @@ def test_the_middle_of_the_space_has_no_digits_of_rounding(answers):
 
 
 def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):
-    unusual = "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false }"
+    unusual = (
+        "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false, rim = 'breaking', "
+        "rim_strength = 0.8 }"
+    )
     answers = answers_of(settings(budget=20, extra=unusual), tmp_path / "run")
     reply = answers.simulate([4.0 / 3.0 + 2.0, *FAILING[1:]])
     assert reply["command"] == (
         "activefail simulate --t-b 3.333333333333333 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 "
-        "--k 2000000000 --t-p 2.5 --a-p 0.5 --restitution assembly --slider-density 5000 --no-loss-of-confinement"
+        "--k 2000000000 --t-p 2.5 --a-p 0.5 --restitution assembly --slider-density 5000 --no-loss-of-confinement "
+        "--rim breaking --rim-strength 0.8"
     )
     result = CliRunner().invoke(app, shlex.split(reply["command"])[1:])
     assert result.exit_code == 0
-    assert reply["outcome"] in result.output.splitlines()[0]
+    assert "outcome    failure (rim_fracture)" in result.output
+    # The last frame shows the broken arcs without a place.
+    assert [arcs.count(None) for arcs in reply["frames"]["arcs"]][-2:] == [0, 2]
+    json.dumps(reply, allow_nan=False)
 
 
 def test_every_answer_is_json_that_any_browser_reads(answers):

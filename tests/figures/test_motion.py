@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from patience import PATIENCE
 
-from activefail.bearing import Accelerogram, Bearing, Pulse, Response, Tolerance, simulate_one
+from activefail.bearing import Accelerogram, Bearing, Model, Pulse, Response, Tolerance, simulate_one
 from activefail.bearing.contact import gap
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever
@@ -195,7 +195,7 @@ def test_the_last_drawn_state_is_the_failing_one(failure):
     drawing = drawn(failure, failure.t[-1] + 1.0)
     q = failure.q[-1]
     np.testing.assert_allclose(drawing.slider.get_xy()[:-1].mean(axis=0), q[:2], atol=1e-3)
-    assert m.vertex_states(drawing.motion, q) == [m.LIFTED] * 4
+    assert m.vertex_states(drawing.motion, failure.t[-1]) == [m.LIFTED] * 4
 
 
 def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
@@ -209,6 +209,31 @@ def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
         assert np.abs(rim[:, 0]).min() == pytest.approx(plate.rim_distance)
         assert rim[:, 1].max() == pytest.approx(plate.rim_top)
     assert outline[:, 1].max() == pytest.approx(plate.rim_top)
+
+
+def test_a_rim_that_yields_is_drawn_further_out_a_broken_one_as_an_outline_and_an_absent_one_not_at_all():
+    def at_the_end(**rims) -> tuple[Response, m.BearingDrawing]:
+        response = simulate_one(FAILING, Pulse(2.5, 0.27 * GRAVITY), Model(**rims))
+        return response, drawn(response, response.t[-1])
+
+    strong, drawing = at_the_end(rim="yielding", rim_strength=0.6, rim_deformation=0.15)
+    assert strong.outcome_name == "impact"
+    edge = FAILING.dish_diameter / 2.0
+    (bottom_left, bottom_right), (top_left, _) = drawing._bottom_rims, drawing._top_rims
+    assert bottom_left.get_xy()[:, 0].max() == pytest.approx(-edge - strong.rims[-1, 0])
+    assert bottom_right.get_xy()[:, 0].min() == pytest.approx(edge + strong.rims[-1, 1])
+    assert top_left.get_xy()[:, 0].max() == pytest.approx(strong.q[-1, 3] - edge - strong.rims[-1, 2])
+    assert strong.rims[-1].min() > 5e-3
+    weak, drawing = at_the_end(rim="breaking", rim_strength=0.6)
+    assert weak.cause_name == "rim_fracture"
+    assert [rim.get_fill() for rim in drawing._bottom_rims] == [False, True]
+    none, drawing = at_the_end(rim="none")
+    assert none.cause_name == "escape"
+    assert drawing._bottom_rims == drawing._top_rims == []
+    assert m.OVER_RIM in m.vertex_states(Motion(none), none.t[-1])
+    for response in (strong, weak, none):
+        assert m.plot_response(response).axes
+        assert m.plot_snapshots(response).axes
 
 
 def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
@@ -232,7 +257,7 @@ def test_the_vertices_that_press_on_a_rim_are_marked_while_a_rim_carries_force(f
     motion = Motion(failure)
     _, rims = motion.contacts(motion.steps)
     for time, rim in zip(motion.steps.tolist(), rims, strict=True):
-        states = m.vertex_states(motion, motion.position(time))
+        states = m.vertex_states(motion, time)
         assert (m.ON_RIM in states[:2]) == (rim[0] > 0.0)
         assert (m.ON_RIM in states[2:]) == (rim[1] > 0.0)
 
@@ -242,8 +267,8 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
     response = simulate_one(bearing, Pulse(3.178, 0.618 * GRAVITY))
     motion = Motion(response)
     assert response.cause_name == "escape"
-    assert m.OVER_RIM in m.vertex_states(motion, response.q[-1])
-    assert m.OVER_RIM not in m.vertex_states(motion, response.q[-2])
+    assert m.OVER_RIM in m.vertex_states(motion, response.t[-1])
+    assert m.OVER_RIM not in m.vertex_states(motion, response.t[-2])
 
 
 def test_snapshots_show_rest_touch_the_way_and_the_end(failure, impact, no_impact):
@@ -265,7 +290,16 @@ def test_snapshots_show_rest_touch_the_way_and_the_end(failure, impact, no_impac
 
 def test_a_response_without_motion_is_refused_with_the_reason():
     stuck = simulate_one(FAILING, Pulse(2.5, 0.5 * GRAVITY), tolerance=Tolerance(most_steps=1))
-    short = Response(**{**vars(stuck), "t": stuck.t[:1], "q": stuck.q[:1], "v": stuck.v[:1], "a": stuck.a[:1]})
+    short = Response(
+        **{
+            **vars(stuck),
+            "t": stuck.t[:1],
+            "q": stuck.q[:1],
+            "v": stuck.v[:1],
+            "a": stuck.a[:1],
+            "rims": stuck.rims[:1],
+        }
+    )
     with pytest.raises(InputError, match="no motion to draw"):
         m.plot_response(short)
 

@@ -196,6 +196,17 @@ def kept(simulate: Counting, folder: Path, shown: Callable[[int], None] = lambda
     return Kept.of(simulate, folder, {"values": {"mu": mu}}, shown)
 
 
+def test_capacities_are_in_the_order_of_the_rims_and_without_rims_nothing_is_lifted() -> None:
+    runs = [(0, float(level)) for level in np.geomspace(1.0, 8.0, 24)]
+    strong = BearingSubject(BEARING, Model(rim="breaking", rim_strength=1.5), Tolerance())
+    subjects = [SUBJECT, strong, BearingSubject(BEARING, Model(rim="none"), Tolerance())]
+    answers = [one.simulate([pulse(2.5)], np.array([1.0]), lambda n: None, runs) for one in subjects]
+    assert not any(one.lifted.any() for one in answers)
+    lowest = [int((one.outcome == 2).argmax()) for one in answers]
+    assert lowest == sorted(lowest, reverse=True)
+    assert lowest[0] > lowest[2] == int((answers[0].outcome > 0).argmax())
+
+
 def test_simulations_before_an_interruption_are_kept(tmp_path: Path) -> None:
     first, second, shown = Counting(stop_after=200), Counting(), list[int]()
     with pytest.raises(KeyboardInterrupt):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 RECORD, VELOCITY = "record", "PGV"
 """Variables of a campaign whose code reads the records: the record, whose whole part counts from 0, and its PGV."""
 
-_LIFTED = CAUSES.index("failure_without_rim_touch")
+_LIFTED, _ESCAPE = CAUSES.index("failure_without_rim_touch"), CAUSES.index("escape")
 _FAILURE = len(OUTCOMES) - 1
 
 _FIRST = 4
@@ -113,7 +113,10 @@ class BearingSubject:
         bearings = np.tile(self.row, (len(runs), 1))
         answers = simulate_records(bearings, moved, self.model, self.tolerance, self.threads, progress)
         outcome = np.where(answers.cause == _LIFTED, _FAILURE, answers.outcome).astype(np.int8)
-        return Answers(outcome, (outcome == _FAILURE) & np.isnan(answers.margin("first_touch_time")))
+        untouched = np.isnan(answers.margin("first_touch_time"))
+        # Without rims the slider leaves its dish, and nothing is touched or lifted.
+        lifted = untouched & ((answers.cause != _ESCAPE) | (self.model.rim != "none"))
+        return Answers(outcome, (outcome == _FAILURE) & lifted)
 
     @property
     def identity(self) -> dict[str, Any]:
