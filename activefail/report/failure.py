@@ -8,7 +8,7 @@ from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.figures.svg import inline
 from activefail.findings import quantities
-from activefail.findings.estimates import rounded_up
+from activefail.findings.estimates import modes_in_words, rounded_up
 from activefail.findings.failure import FailureFindings
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import ProbabilityEstimate
@@ -52,6 +52,7 @@ def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]
     low, high = (0.0, rounded_up(bound)) if bound is not None else (estimate.low, f"{estimate.high:.3g}")
     return {
         "of": estimate,
+        "modes": modes_in_words(estimate.modes),
         "probability": f"{estimate.probability:.3g}",
         "interval": f"{low:.3g} to {high}",
         "extrapolated": bound is not None,
