@@ -603,8 +603,8 @@ class ClassifierSettings(Section):
             that returns a GPyTorch kernel.
         likelihood: a GPyTorch likelihood of labels 0 and 1; the probit likelihood by default.
         model: a function of features and labels that returns a BoTorch model, in place of the variational classifier.
-        learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary. With a custom kernel,
-            likelihood or model, boundaries are learned from outcomes.
+        learns: "outcomes", the name of a margin, "system" for that of all margins, or "auto": evidence decides for each
+            boundary. With a custom kernel, likelihood or model, boundaries are learned from outcomes.
     """
 
     features: Annotated[
