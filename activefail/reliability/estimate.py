@@ -411,7 +411,11 @@ def plan_estimate(
 
 
 def plan_estimates(
-    boundaries: Sequence[Boundaries], space: DesignSpace | WeightedRows, m: int, rng: np.random.Generator
+    boundaries: Sequence[Boundaries],
+    space: DesignSpace | WeightedRows,
+    m: int,
+    rng: np.random.Generator,
+    beside: Callable[[Array], Array] | None = None,
 ) -> list[Plan]:
     """Plan m fresh simulations that correct the baselines of all b boundaries.
 
@@ -421,10 +425,11 @@ def plan_estimates(
         space: the distribution.
         m: number of simulations.
         rng: draws them.
+        beside: a doubt that they are drawn for as much as for that of a boundary, (n, d) -> (n,).
     """
     integrals = [_baselines(of, space) for of in boundaries]
     shares = [[integral.of(column) for column in range(len(integral.probability))] for integral in integrals]
-    return _planned(boundaries, space, shares, m, rng)
+    return _planned(boundaries, space, shares, m, rng, beside)
 
 
 def _planned(
@@ -433,6 +438,7 @@ def _planned(
     baselines: Sequence[Sequence[OfBoundary]],
     m: int,
     rng: np.random.Generator,
+    beside: Callable[[Array], Array] | None = None,
 ) -> list[Plan]:
     """A plan for each of b boundaries, with the same m designs; `baselines` are (1 or 3, b)."""
     X, weight = population(space, RADIAL, None, rng)[1:]
@@ -441,6 +447,7 @@ def _planned(
     is_exact = isinstance(space, WeightedRows)
     shares = weight / weight.sum() if is_exact else np.full(len(X), 1.0 / len(X))
     parts = weight * doubt(z / WIDER).max(axis=0)
+    parts = parts if beside is None else np.concatenate([parts, (weight * beside(X))[None]])
     if len(parts := parts[parts.sum(axis=1) > 0.0]):
         # The same for each boundary, however likely its outcome is.
         of_each = (1.0 - UNIFORM) / len(parts) * parts / parts.sum(axis=1, keepdims=True)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from activefail.acquisition.by_margin import LEAST
 from activefail.acquisition.population import Population, around, first_parents, next_parents, population
 from activefail.reliability.estimate import WIDER, Interval, ModeShare, Plan, variance_of
 from activefail.space import Array, DesignSpace
@@ -116,6 +117,13 @@ class FreshModes:
             variance += float(linear(self.whole).var(ddof=1)) / len(self.whole.system)
         half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * math.sqrt(variance) / of
         return share, max(0.0, share - half), min(1.0, share + half)
+
+
+def doubt_of_modes(system: System, z: Array) -> Array:
+    """The largest standard deviation of an event of a mode where the system fails, (n,), of probits, (n, k)."""
+    fails, *events = Events.expected(system, z / WIDER)
+    q = np.concatenate(events, axis=1) / np.maximum(fails, LEAST)[:, None]
+    return np.asarray(np.sqrt(fails * np.maximum(q * (1.0 - q), 0.0).max(axis=1)))
 
 
 def counted_modes(system: System, ratio: Array, margins: Array) -> FreshModes:

@@ -40,7 +40,7 @@ from activefail.reliability.integral import (
     existence,
     integrate,
 )
-from activefail.reliability.modes import FreshModes, corrected_modes, counted_modes
+from activefail.reliability.modes import FreshModes, Sides, corrected_modes, counted_modes, doubt_of_modes
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
@@ -320,11 +320,11 @@ class Estimator:
         if not (isinstance(plan, Plan) and isinstance(latent, SystemLatent)):
             return counted_modes(system, plan.ratio, margins)
         rng = stream(self.campaign.settings.seed, "modes", _DRAWS * self.iteration + question.draw)
+        return corrected_modes(system, plan, margins, self._sides(latent, question), question.space, rng)
 
-        def sides(X: Array) -> Array:
-            return latent.sides(finite(self.campaign.features, question.designs(X)))
-
-        return corrected_modes(system, plan, margins, sides, question.space, rng)
+    def _sides(self, latent: SystemLatent, question: Question) -> Sides:
+        """The probits that each mode has failed, of values of a question's variables."""
+        return lambda X: latent.sides(finite(self.campaign.features, question.designs(X)))
 
     def _with_unknown(self, X: Array, lost: NDArray[np.bool_]) -> Classifier:
         """The classifier that knows where runs are lost, if only fresh simulations, (n, d), have shown that any are."""
@@ -406,7 +406,14 @@ class Estimator:
         severity, learned = self.classifier.outcomes.index(outcome), boundaries("learned")
         if self._is_shared(question):
             ends = [] if self.classifier.unknown is None else [boundaries("none"), boundaries("all")]
-            return plan_estimates([learned, *ends], rows, simulations, rng)[severity - 1 :]
+            latent = self.classifier.latents[0]
+
+            def of_modes(X: Array) -> Array:
+                assert isinstance(latent, SystemLatent)
+                return doubt_of_modes(latent.system, self._sides(latent, question)(X))
+
+            beside = of_modes if isinstance(latent, SystemLatent) else None
+            return plan_estimates([learned, *ends], rows, simulations, rng, beside)[severity - 1 :]
 
         def standardised(X: Array) -> Array:
             return learned(X)[:, severity - 1]
