@@ -323,7 +323,8 @@ class ProbabilityFindings:
     def numbers(self) -> dict[str, Any]:
         """The numbers of the outcome, as JSON values."""
         estimate, check = self.estimate, self.estimate.check
-        return {
+        modes = {mode.name: mode.numbers for mode in estimate.modes}
+        return ({"modes": modes} if modes else {}) | {
             "probability": estimate.probability,
             "low": 0.0 if self.is_extrapolated else estimate.low,
             "high": self.high,
@@ -342,7 +343,6 @@ class ProbabilityFindings:
                 "contradictions": check.contradictions,
                 "deviation_of_margins": check.deviation,
             },
-            "modes": {mode.name: mode.numbers for mode in estimate.modes},
             "extrapolated": self.is_extrapolated,
             "failures_seen": self.seen + estimate.beyond,
             "question": self.question or None,
