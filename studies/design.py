@@ -141,7 +141,7 @@ def by_importance(weight, wider):
     """The package's importance sampling with another prior weight and factor of the standard deviation."""
 
     def make(latent, rows, rng):
-        importance._PRIOR_WEIGHT, importance._WIDER = weight, wider
+        importance._PRIOR_WEIGHT, importance.WIDER = weight, wider
         return importance.plan_estimate(latent, rows, importance.baseline(latent, rows), SIMULATIONS, rng)
 
     return by_plan(make)

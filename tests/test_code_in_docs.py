@@ -134,8 +134,8 @@ def module_of(name: str, source: str, folder: Path) -> ModuleType:
 
 def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (limit,) = blocks("docs/probability.md", "python")
-    beam, heavy = blocks("docs/probability.md", "toml")
+    limit, _ = blocks("docs/probability.md", "python")
+    beam, _, heavy = blocks("docs/probability.md", "toml")
     for name, text in (("limit.py", limit), ("beam.toml", beam), ("heavy.toml", heavy)):
         Path(name).write_text(text, encoding="utf-8")
     (commands,) = blocks("docs/probability.md", "")
@@ -152,6 +152,24 @@ def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, mo
     own, question = (float(out.partition("\n")[0].rpartition(": ")[2]) for out in said[1:])
     # Heavier loads on a longer span.
     assert 0.0 < own < question < 1.0
+
+
+def test_the_system_of_the_page_on_probabilities_gives_the_shares_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _, limits = blocks("docs/probability.md", "python")
+    _, system, _ = blocks("docs/probability.md", "toml")
+    Path("frame.py").write_text(limits, encoding="utf-8")
+    Path("frame.toml").write_text(system, encoding="utf-8")
+    assert "stop rule  met after 27" in activefail("run", "frame.toml", "--out", "run", "--workers", "1").out
+    said = [
+        line for line in activefail("probability", "run", "--code", ".").out.splitlines() if line.startswith("mode ")
+    ]
+    page = (DOCS / "probability.md").read_text(encoding="utf-8")
+    assert len(said) == 3
+    for line in said:
+        assert f"    {line}\n" in page
 
 
 def test_the_campaign_of_the_page_on_distributions_is_one() -> None:

@@ -18,8 +18,8 @@ from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.boundary_gp import fantasised, keeping
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import AnyLatent, MarginLatent
 from activefail.surrogate.moments import LARGEST_FEATURE
+from activefail.surrogate.system import AnyLatent, ByMargins
 
 POOL = 4096
 """Designs in the Sobol' pool of candidates; a power of two."""
@@ -148,7 +148,7 @@ def propose(
         answers: probability of a result at scaled features; all are certain if None.
         repeatable: whether equal designs have equal results; otherwise known designs may be chosen again.
     """
-    by_margin = isinstance(latent, MarginLatent) and not criterion.is_custom
+    by_margin = isinstance(latent, ByMargins) and not criterion.is_custom
     model, sample = latent.model, _Sample(space, rng, widening)
 
     def scaled(X: Array) -> Array:

@@ -18,7 +18,7 @@ from torch import Tensor
 from activefail.acquisition.population import Population, finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.boundary_gp import marginal, moments, posterior_covariance
+from activefail.surrogate.boundary_gp import marginal, moments, parts_of, posterior_covariance
 from activefail.surrogate.moments import LARGEST_FEATURE
 
 POINTS = 300
@@ -70,6 +70,8 @@ def expected_doubt(mean: Tensor, sd: Tensor, variance: Tensor, covariance: Tenso
 class DoubtReduction(AcquisitionFunction):
     """Expected fall of the doubt at references by a margin at single points of scaled features, (n, 1, m) -> (n,).
 
+    At a reference of a system, the doubt is that of the mode that decides there, as in AK-SYS [FauriatGayton2014].
+
     Args:
         model: of the latent.
         references: (R, m) scaled features.
@@ -78,17 +80,17 @@ class DoubtReduction(AcquisitionFunction):
 
     def __init__(self, model: Model, references: Tensor, weight: Tensor) -> None:
         super().__init__(model)
-        self._references, self._weight = references, weight
+        self._references = references
         with torch.no_grad():
-            self._mean, self._sd = marginal(model, references)
+            self._parts = [(of, *marginal(of, references), weight * part) for of, part in parts_of(model, references)]
 
     def forward(self, X: Tensor) -> Tensor:
         """The criterion."""
-        F = X.squeeze(-2)
-        variance = marginal(self.model, F)[1].square().clamp_min(1e-12)
-        covariance = posterior_covariance(self.model, F, self._references)
-        after = expected_doubt(self._mean, self._sd, variance, covariance)
-        fall: Tensor = (_doubt(self._mean / self._sd) - after) @ self._weight
+        F, fall = X.squeeze(-2), torch.zeros(len(X), dtype=torch.float64)
+        for model, mean, sd, weight in self._parts:
+            variance = marginal(model, F)[1].square().clamp_min(1e-12)
+            after = expected_doubt(mean, sd, variance, posterior_covariance(model, F, self._references))
+            fall += (_doubt(mean / sd) - after) @ weight
         return fall
 
 

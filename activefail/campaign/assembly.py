@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from activefail.simulators.user_code import (
     load_function,
 )
 from activefail.space import Array, DesignSpace
+from activefail.systems import System
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds", "folder")
 """Columns of activefail's tables besides variables, fixed quantities and margins."""
@@ -229,6 +231,17 @@ class Campaign:
             related[ended, names.index(name)] = np.nan
         return related
 
+    @cached_property
+    def system(self) -> System | None:
+        """The system that the margins make; None if each stands for itself."""
+        custom = self.settings.simulator
+        return None if isinstance(custom, str) else custom.modes
+
+    @property
+    def learnable(self) -> tuple[str, ...]:
+        """What a boundary can be learned from, as `margin_choice.Choice` counts: each margin, or the system."""
+        return self.simulator.margins if self.system is None else (self.system.text,)
+
     @property
     def levels(self) -> Array:
         """The value at or below which each margin is beyond each boundary, (boundaries, k)."""
@@ -247,6 +260,7 @@ class Campaign:
             # With more than two outcomes, only stated levels tell a side.
             stated = [name in custom.levels or len(simulator.outcomes) == 2 for name in simulator.margins]
             margins = self.margins_at(severity, results.outcome, results.margins)[:, stated]
+            margins = margins if self.system is None else self.system(margins)[:, None]
             is_beyond = results.outcome[:, None] >= severity
             found |= any(stated) & ((margins <= 0.0) != is_beyond).all(axis=1) & ~np.isnan(margins).any(axis=1)
         found &= results.outcome >= 0
@@ -270,25 +284,21 @@ def _simulator(
         "failing": spec.causes_that_mean("failure"),
         "impossible": spec.causes_that_mean("impossible"),
     }
+    decides = lost | {"levels": spec.levels_of_number, "system": spec.modes}
     match spec:
         case sections.PythonSimulatorSettings():
-            levels = spec.levels_of_number
-            function = PythonSimulator(
-                space, spec.python, code, *returns, folder=run, renew=spec.renew, levels=levels, **lost
-            )
+            function = PythonSimulator(space, spec.python, code, *returns, folder=run, renew=spec.renew, **decides)
             if code is None:
                 return function, {}
             source = function.load()
             return replace(function, source=source), {SIMULATOR_KEY: source}
         case sections.CommandSimulatorSettings():
             folder = (run or Path.cwd()) / SIMULATIONS
-            lost |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
-            lost |= {"templates": tuple(spec.template), "copies": tuple(spec.copied)}
-            lost |= {"pattern": spec.pattern, "output": spec.output, "cores": spec.cores}
-            lost |= {"repeatable": settings.is_repeatable}
-            program = CommandSimulator(
-                space, spec.command, code, folder, *returns, levels=spec.levels_of_number, **lost
-            )
+            decides |= {"retries": spec.retries, "keep": spec.keep, "largest_file": spec.largest_file}
+            decides |= {"templates": tuple(spec.template), "copies": tuple(spec.copied)}
+            decides |= {"pattern": spec.pattern, "output": spec.output, "cores": spec.cores}
+            decides |= {"repeatable": settings.is_repeatable}
+            program = CommandSimulator(space, spec.command, code, folder, *returns, **decides)
             return program, {} if code is None else {COMMAND_KEY: program.digest()}
         case _:
             return ElsewhereSimulator(*returns, **lost), {}
@@ -348,9 +358,10 @@ def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
     Raises:
         InputError: naming the key and its value.
     """
-    learns = settings.classifier.learns
-    if learns not in ("auto", "outcomes", *simulator.margins):
-        known = ", ".join(("auto", "outcomes", *simulator.margins))
+    learns, custom = settings.classifier.learns, settings.simulator
+    margins = simulator.margins if isinstance(custom, str) or custom.system is None else ("system",)
+    if learns not in ("auto", "outcomes", *margins):
+        known = ", ".join(("auto", "outcomes", *margins))
         raise InputError(f"classifier.learns: must be one of {known}, got {learns!r}.")
     rule = settings.probability_rule
     if rule is not None and rule.probability not in settings.acquisition.boundaries:

@@ -201,10 +201,12 @@ class ResultTable:
                 )
             if name in lost:
                 texts.append(f"{self.table.name}column {name!r} is not kept, for `export` has one; rename it.")
-        if not _levels(campaign) or campaign.settings.classifier.learns == "outcomes":
+        system = campaign.system
+        if not (_levels(campaign) or system) or campaign.settings.classifier.learns == "outcomes":
             return texts
-        name, worst = simulator.margins[0], simulator.outcomes[-1]
-        outcome, margin = self.results.outcome, self.results.margins[:, 0]
+        name, worst = campaign.learnable[0], simulator.outcomes[-1]
+        outcome, margins = self.results.outcome, self.results.margins
+        margin = margins[:, 0] if system is None else system(margins)
         rules = {
             f"{name} is {{margin}}; no boundary can be learned from it.": np.isinf(margin),
             f"{name} is missing. A boundary is learned from a margin only if all simulations less severe than {worst} "
@@ -354,7 +356,7 @@ def _require_result(campaign: Campaign, table: Table) -> None:
     Raises:
         InputError: naming the columns.
     """
-    deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) else ())]
+    deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) or campaign.system else ())]
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
         close = [(name, column) for name in deciding for column in table.columns if may_be(name, column)]
@@ -434,15 +436,16 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, known, np.array([seconds]))
     answer: object = {"outcome": name, "margins": values}
     if name is None:
-        if not (levels := _levels(campaign)):
+        levels = _levels(campaign)
+        if not (levels or campaign.system):
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
-        answer = values[margins[0]]
+        answer = values if campaign.system else values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
         raise table.broken(row, _OUTCOME, f"must be one of {', '.join((*outcomes, 'numerical_failure'))}", name)
     else:
         levels = ()
     try:
-        result = read_answer(answer, outcomes, margins, levels, seconds)
+        result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system)
     except UnusableAnswerError as error:
         raise InputError(f"{table.places[row]}: {error}.") from None
     is_failure = cause[0] in getattr(campaign.simulator, "failing", ()) and result.outcome[0] == len(outcomes) - 1

@@ -24,6 +24,7 @@ from activefail.errors import InputError
 from activefail.names import Criterion, FeatureSet, Kernel
 from activefail.parameter import Choice, Parameter, choices_fault, distribution_fault, step_fault
 from activefail.simulators.interface import EXECUTION_CAUSES
+from activefail.systems import System, parse_system
 
 _SHOWN = 200
 """Longest value shown in a message, in characters."""
@@ -356,6 +357,9 @@ class OutcomeSettings(Section):
         margins: names of the numbers that it returns besides the outcome.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
+        system: failure where `min(...)` (any mode is enough) or `max(...)` (all must fail) of the margins is at most
+            0; the functions may be nested. Each margin is then learned by itself, and a result may be the margins
+            alone. Each must be the one that the whole simulation gives.
         lost: what a run without a result means: "unknown", either outcome; "failure", the most severe outcome, where
             non-convergence is collapse; "impossible", a design that does not exist. For all causes, or by cause.
         repeatable: whether equal designs have equal results. If not, results are noisy: every run is a result of its
@@ -367,6 +371,7 @@ class OutcomeSettings(Section):
     margins: list[str] = Field([], max_length=100)
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
+    system: str | None = None
     lost: Lost | dict[CAUSES, Lost] = "unknown"
     repeatable: bool | None = None
 
@@ -428,6 +433,30 @@ class OutcomeSettings(Section):
         for name in names:
             _check_margin(name, info)
         return names
+
+    @field_validator("system")
+    @classmethod
+    def _is_a_system(cls, text: str | None, info: ValidationInfo) -> str | None:
+        if text is not None and (margins := info.data.get("margins")) is not None:
+            parse_system(text, margins)
+            if len(info.data.get("outcomes", "ab")) > 2:
+                raise ValueError("requires two outcomes: a system fails or does not")
+            for other in ("levels", "truncated"):
+                if info.data.get(other):
+                    raise ValueError(f"cannot be combined with {other}: a mode fails where its margin is at most 0")
+        return text
+
+    @field_validator("repeatable")
+    @classmethod
+    def _repeats_as_a_system(cls, repeatable: bool | None, info: ValidationInfo) -> bool | None:
+        if repeatable is False and info.data.get("system"):
+            raise ValueError("must be true with simulator.system: the noise of several margins is not learned")
+        return repeatable
+
+    @property
+    def modes(self) -> System | None:
+        """The system of the margins; None if each stands for itself."""
+        return None if self.system is None else parse_system(self.system, self.margins)
 
     @property
     def levels_of_number(self) -> tuple[float, ...]:
@@ -671,8 +700,8 @@ class ClassifierSettings(Section):
             that returns a GPyTorch kernel.
         likelihood: a GPyTorch likelihood of labels 0 and 1; the probit likelihood by default.
         model: a function of features and labels that returns a BoTorch model, in place of the variational classifier.
-        learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary. With a custom kernel,
-            likelihood or model, boundaries are learned from outcomes.
+        learns: "outcomes", the name of a margin, "system" for that of all margins, or "auto": evidence decides for each
+            boundary. With a custom kernel, likelihood or model, boundaries are learned from outcomes.
     """
 
     features: Annotated[

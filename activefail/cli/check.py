@@ -80,7 +80,9 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
             yield "simulator", "elsewhere; nothing is simulated here" if campaign.is_elsewhere else bearing
     boundaries = ", ".join(campaign.settings.acquisition.boundaries)
     yield "outcomes", f"{', '.join(simulator.outcomes)}; sought is the boundary of {boundaries}"
-    if simulator.margins and not isinstance(campaign.settings.simulator, str):
+    if campaign.system is not None:
+        yield "margins", f"{campaign.system.text} <= 0 at {simulator.outcomes[-1]}"
+    elif simulator.margins and not isinstance(campaign.settings.simulator, str):
         for place, outcome in enumerate(simulator.outcomes[1:]):
             rules = zip(simulator.margins, campaign.levels[place].tolist(), strict=True)
             yield "margins", f"{', '.join(f'{name} <= {level:g}' for name, level in rules)} at {outcome}"

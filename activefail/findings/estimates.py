@@ -1,22 +1,24 @@
 """What a campaign knows of the classifier's error and of an outcome's probability, with what is assumed."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
+from activefail.findings.learned_from import source_in_words
 from activefail.findings.lines import titled
 from activefail.findings.quantities import significant, words
 from activefail.loop.history import History
-from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
+from activefail.reliability.estimate import LARGEST_RATIO, ModeShare, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import alike, interval_percent, percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES
+from activefail.surrogate.system import ByMargins
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.error import ErrorEstimate
 from activefail.verification.surface import SurfaceScore
@@ -83,6 +85,13 @@ def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
     return Bound(high, estimate.simulations, "fresh simulations")
 
 
+def modes_in_words(modes: Sequence[ModeShare]) -> list[tuple[str, str]]:
+    """The name of each mode of a system, and its shares of the failures."""
+    shares = [[f"{percent(one[0])} ({interval_percent(*one[1:])})" for one in of[1:]] for of in modes]
+    texts = [f"has failed in {failed} of the failures, decides {decisive}" for failed, decisive in shares]
+    return [(visible(mode.name), text) for mode, text in zip(modes, texts, strict=True)]
+
+
 @dataclass(frozen=True)
 class ProbabilityFindings:
     """The probability of an outcome or a more severe one.
@@ -91,7 +100,7 @@ class ProbabilityFindings:
         outcome: its name.
         outcomes: of the simulator, the least severe first.
         estimate: from fresh simulations with the classifier frozen.
-        learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
+        learned_from: the margin, or the system, that the boundary was learned from; empty if from the outcomes alone.
         is_clipped: whether this margin is clipped at a largest value.
         learned: simulations of the campaign, without its fresh simulations.
         seen: how many of these ended beyond the boundary.
@@ -144,7 +153,7 @@ class ProbabilityFindings:
             outcome=outcome,
             outcomes=tuple(campaign.simulator.outcomes),
             estimate=estimate,
-            learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
+            learned_from="" if choice == OUTCOMES else campaign.learnable[choice],
             learned=len(history),
             seen=int(beyond.sum()),
             bound=bound_of_fresh(estimate) if question.digest else bound_without_model(campaign, history, outcome),
@@ -155,7 +164,7 @@ class ProbabilityFindings:
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             lost=lost,
             repeatable=classifier.repeatable,
-            is_clipped=isinstance(latent, MarginLatent) and latent.trained.data.is_clipped,
+            is_clipped=isinstance(latent, ByMargins) and latent.is_clipped,
         )
 
     exit_code = 0
@@ -165,7 +174,7 @@ class ProbabilityFindings:
         """The findings as lines of a terminal."""
         estimate, sure = self.estimate, f"with {100 * self.estimate.confidence:g} % confidence"
         name = or_worse(self.outcome, self.outcomes)
-        learned = f"the margin {self.learned_from}" if self.learned_from else "the outcomes"
+        learned = source_in_words(self.learned_from)
         failed = f"; {estimate.unanswered} failed numerically" if estimate.unanswered else ""
         probability, low, high, model = alike(estimate.probability, estimate.low, estimate.high, self.model.probability)
         interval = f"{low} to {high}"
@@ -186,6 +195,7 @@ class ProbabilityFindings:
                 f"simulations: {estimate.wrong}",
             ),
         ]
+        rows += [("mode", " ".join(mode)) for mode in modes_in_words(estimate.modes)]
         if check := estimate.check:
             designs = f"{check.simulations} more designs under the question, far from all others"
             rows.append(("check", f"{designs}; contradictions: {check.contradictions}"))
@@ -264,6 +274,11 @@ class ProbabilityFindings:
                     else "Continue the campaign for a narrower interval."
                 )
             )
+        if estimate.modes:
+            sentences.append(
+                "A mode decides the failures that would not occur without it. Its shares have "
+                f"{100 * estimate.confidence:g} % intervals each; runs without a result count as predicted."
+            )
         if not self.repeatable:
             sentences.append(
                 "The simulator does not repeat: the probability includes its noise. Contradictions are results that "
@@ -310,7 +325,8 @@ class ProbabilityFindings:
     def numbers(self) -> dict[str, Any]:
         """The numbers of the outcome, as JSON values."""
         estimate, check = self.estimate, self.estimate.check
-        return {
+        modes = {mode.name: mode.numbers for mode in estimate.modes}
+        return ({"modes": modes} if modes else {}) | {
             "probability": estimate.probability,
             "low": 0.0 if self.is_extrapolated else estimate.low,
             "high": self.high,

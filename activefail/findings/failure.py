@@ -21,7 +21,7 @@ from activefail.reliability.model_probability import model_probability
 from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.system import ByMargins
 from activefail.verification.probability_estimator import Estimator
 
 RARE = 0.05
@@ -89,7 +89,7 @@ def failure_findings(
     answer = estimator.stored(outcome, campaign.question, 0.9, checks=True) if campaign.question.digest else None
     if answer is not None:
         asked = ProbabilityFindings.of(campaign, history, classifier, outcome, answer, campaign.question)
-    is_sought = campaign.settings.probability_rule is not None or isinstance(latent, MarginLatent)
+    is_sought = campaign.settings.probability_rule is not None or isinstance(latent, ByMargins)
     if estimate is None and asked is None and not is_sought:
         return None
     rows, fitted = [], None
@@ -130,7 +130,7 @@ def _sizes(campaign: Campaign, history: History) -> list[int]:
 def _probability(campaign: Campaign, classifier: Classifier, outcome: str) -> tuple[float, float, float]:
     """The classifier's probability with its 95 % interval."""
     latent, rng = classifier.latent(outcome), np.random.default_rng(0)
-    if isinstance(latent, MarginLatent):
+    if isinstance(latent, ByMargins):
         known = model_probability(classifier, campaign.features, campaign.space, outcome, SIZE, rng)
         return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)), REACH)
     integral = integrate(BoundariesOf(classifier, campaign.features), campaign.space)

@@ -19,7 +19,7 @@ class LearnedFrom(NamedTuple):
 
     Attributes:
         outcome: name of the boundary's outcome.
-        margin: name of the margin; empty if the boundary is learned from the outcomes.
+        margin: name of the margin, or text of the system; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
         is_clipped: whether the margin is clipped at a largest value.
         support: number of inducing points that predictions use; 0 if they use all simulations.
@@ -40,9 +40,9 @@ class LearnedFrom(NamedTuple):
         """What the boundary is learned from, with the evidence if there is any; empty if there was no choice."""
         outcome, is_compared = visible(words(self.outcome)), not np.isnan([self.margin_score, self.outcome_score]).any()
         if self.margin or is_compared:
-            text = f"{outcome} from {f'the margin {visible(self.margin)}' if self.margin else 'the outcomes'}"
+            text = f"{outcome} from {source_in_words(self.margin)}"
         elif self.unusable:
-            text = f"{outcome} from the outcomes; the margin {visible(self.unusable)} is not used: {self.reason}"
+            text = f"{outcome} from the outcomes; {source_in_words(self.unusable)} is not used: {self.reason}"
         else:
             return ""
         if is_compared:
@@ -63,26 +63,34 @@ class LearnedFrom(NamedTuple):
         return text
 
 
-def candidate_of(margins: Sequence[str], learns: str) -> str:
-    """The one margin that a boundary would be learned from; empty if there are several, or none.
+def source_in_words(name: str) -> str:
+    """What a boundary is learned from: a margin, a system by its text, or the outcomes if the name is empty."""
+    if not name:
+        return "the outcomes"
+    return f"the margin {visible(name)}" if name.isidentifier() else f"the system {visible(name)}"
+
+
+def candidate_of(learnable: Sequence[str], learns: str) -> str:
+    """The one margin, or the system, that a boundary would be learned from; empty if there are several, or none.
 
     Args:
-        margins: names of the simulator's margins.
+        learnable: names of the simulator's margins, or the text of their system.
         learns: `classifier.learns`.
     """
-    if learns == "auto":
-        return margins[0] if len(margins) == 1 else ""
-    return learns if learns in margins else ""
+    if len(learnable) == 1:
+        return "" if learns == "outcomes" else learnable[0]
+    return learns if learns in learnable else ""
 
 
 def saved_choices(
-    state: Mapping[str, Any], outcomes: Sequence[str], margins: Sequence[str], learns: str
+    state: Mapping[str, Any], outcomes: Sequence[str], learnable: Sequence[str], learns: str
 ) -> list[LearnedFrom]:
     """What the boundaries are learned from, by a saved state; empty if it says nothing.
 
     Args:
         state: arrays by name.
-        outcomes, margins: names of the simulator's.
+        outcomes: names of the simulator's.
+        learnable: names of its margins, or the text of their system.
         learns: `classifier.learns`.
     """
     reason = "it does not show on which side of the boundary a design lies"
@@ -91,9 +99,10 @@ def saved_choices(
         if f"{outcome}/choice" not in state:
             return []
         margin, _, from_margin, from_outcomes, _ = state[f"{outcome}/choice"].tolist()
-        name, clipped = "" if margin < 0 else margins[int(margin)], f"{outcome}/clipped" in state
-        support = len(state.get(f"{outcome}/inducing", ())) if name else 0
-        unusable = candidate_of(margins, learns)
+        name = "" if margin < 0 else learnable[int(margin)]
+        of_outcome = {key.rpartition("/")[2]: state[key] for key in state if key.startswith(f"{outcome}/")}
+        clipped, support = "clipped" in of_outcome, len(of_outcome.get("inducing", ())) if name else 0
+        unusable = candidate_of(learnable, learns)
         rows.append(LearnedFrom(outcome, name, from_margin, from_outcomes, clipped, support, unusable, reason))
     return rows
 
@@ -103,23 +112,24 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
 
     A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
-    from activefail.surrogate.margin import MarginLatent
-    from activefail.surrogate.margin_choice import OUTCOMES, usable
+    from activefail.surrogate.margin_choice import OUTCOMES, taken, usable
+    from activefail.surrogate.system import ByMargins
 
-    known, (_, *outcomes), names = history.training, campaign.simulator.outcomes, campaign.simulator.margins
+    known, (_, *outcomes), names = history.training, campaign.simulator.outcomes, campaign.learnable
     candidate, sentences = candidate_of(names, campaign.settings.classifier.learns), []
     for severity, (outcome, choice) in enumerate(zip(outcomes, classifier.choices, strict=False), start=1):
         latent, reason = classifier.latent(outcome), ""
         if candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)
-            reason = usable(margins[:, names.index(candidate)], known.outcome >= severity)
+            margin = taken(margins, names.index(candidate), campaign.system)
+            reason = usable(margin, known.outcome >= severity, campaign.system)
         row = LearnedFrom(
             outcome,
             "" if choice.margin == OUTCOMES else names[choice.margin],
             choice.margin_score,
             choice.outcome_score,
-            isinstance(latent, MarginLatent) and latent.trained.data.is_clipped,
-            latent.trained.data.size_of_support if isinstance(latent, MarginLatent) else 0,
+            isinstance(latent, ByMargins) and latent.is_clipped,
+            latent.size_of_support if isinstance(latent, ByMargins) else 0,
             candidate if reason else "",
             reason,
         )

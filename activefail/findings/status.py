@@ -9,7 +9,7 @@ from typing import Any
 
 from activefail.campaign.known_code import known_code
 from activefail.campaign.settings import read_settings
-from activefail.findings.learned_from import LearnedFrom, saved_choices
+from activefail.findings.learned_from import LearnedFrom, saved_choices, source_in_words
 from activefail.findings.summary import Summary, features_in_words, where_lost
 from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
@@ -31,7 +31,7 @@ class Status:
     Attributes:
         folder: the run folder.
         summary: of its campaign.
-        margins: names of the simulator's margins.
+        learnable: names of the simulator's margins, or the text of their system.
         lost: where runs gave no result; empty if all gave one.
         warnings: of its record; empty if it is intact.
         state: saved after the last iteration; empty if none was.
@@ -41,7 +41,7 @@ class Status:
 
     folder: Path
     summary: Summary
-    margins: tuple[str, ...]
+    learnable: tuple[str, ...]
     lost: str
     warnings: tuple[str, ...]
     state: Mapping[str, Any]
@@ -73,7 +73,11 @@ class Status:
             "corrected": summary.corrected,
             "stop_rule_met": bool(self.stop_rule),
             "estimates": {
-                outcome: {name: one for name, one in numbers.items() if isinstance(one, str | int | float | None)}
+                outcome: {
+                    name: one
+                    for name, one in numbers.items()
+                    if name == "modes" or isinstance(one, str | int | float | None)
+                }
                 for outcome, numbers in self.estimates.items()
             },
             "warnings": list(self.warnings),
@@ -84,14 +88,14 @@ class Status:
     @cached_property
     def _choices(self) -> list[LearnedFrom]:
         summary = self.summary
-        return saved_choices(self.state, summary.outcomes, self.margins, summary.settings.classifier.learns)
+        return saved_choices(self.state, summary.outcomes, self.learnable, summary.settings.classifier.learns)
 
     @property
     def _learner(self) -> str:
         """What is learned and where, in words."""
         line, features = self.summary.learner, f"on {features_in_words(self.summary.settings)} features"
         margins = [one.margin for one in self._choices]
-        names = " and ".join(dict.fromkeys(f"the margin {visible(margin)}" for margin in margins if margin))
+        names = " and ".join(dict.fromkeys(source_in_words(margin) for margin in margins if margin))
         if not names:
             return line
         return f"regression of {names} {features}" if all(margins) else f"regression of {names}, and {line}"
@@ -130,6 +134,10 @@ class Status:
             f"probability of {name}{under} {probability}, {interval}, from {of['simulations']} fresh "
             f"simulations; recall at least {percent(of['recall_low'])}"
         )
+        # Estimates of earlier versions have no modes.
+        if modes := of.get("modes"):
+            shares = ", ".join(f"{visible(mode)} {percent(one['failed'])}" for mode, one in modes.items())
+            text += f"; share of the failures in which a mode has failed: {shares}"
         if of["contradictions_where_sure"]:
             text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
         if of["check"] and of["check"]["contradictions"]:
@@ -175,6 +183,12 @@ class Status:
         return [command] if self.summary.elsewhere else []
 
 
+def learnable_of(simulator: Any, margins: tuple[str, ...]) -> tuple[str, ...]:
+    """What a boundary of a campaign can be learned from, as `Campaign.learnable`, by its settings."""
+    system = getattr(simulator, "system", None)
+    return margins if system is None else (system,)
+
+
 def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:
     """What the last estimate of an outcome's probability is of, in a record with this digest."""
     return "probability", outcome, digest
@@ -200,7 +214,7 @@ def read_status(folder: Path) -> Status:
         return Status(
             folder,
             summary,
-            schema.margins,
+            learnable_of(settings.simulator, schema.margins),
             where_lost(schema.variables, history.designs, ~history.answered, settings.without_order),
             store.new_warnings(),
             state,

@@ -5,6 +5,7 @@ probability is narrow at two looks, designs far from all others are simulated, w
 matter. If one of them contradicts the surrogate, the campaign continues.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +25,7 @@ from activefail.reliability.model_probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.system import ByMargins
 from activefail.verification.mode_check import margin_of
 
 _BETWEEN = 4
@@ -112,7 +113,7 @@ def look(campaign: Campaign, known: History, iteration: int, classifier: Classif
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
-    if not isinstance(latent, MarginLatent):
+    if not isinstance(latent, ByMargins):
         # The looks of a classifier of outcomes are too sure of themselves to end a campaign.
         return np.empty((0, 4))
     rng = stream(campaign.settings.seed, "probability", iteration)
@@ -128,7 +129,7 @@ def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
-    return isinstance(latent, MarginLatent) and latent.trained.data.is_clipped
+    return isinstance(latent, ByMargins) and latent.is_clipped
 
 
 LOOKS, KNOWN = "stop/looks", "stop/known"
@@ -149,7 +150,7 @@ def looks_from_state(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> L
     """
     rule = campaign.settings.probability_rule
     if LOOKS not in state:
-        if rule is not None and f"{rule.probability}/unit" in state:
+        if rule is not None and any(re.fullmatch(rf"{rule.probability}(/\d+)?/unit", key) for key in state):
             raise KeyError(LOOKS)
         return Looks()
     table, known = state[LOOKS], state[KNOWN]
@@ -167,7 +168,7 @@ def contradicted(campaign: Campaign, classifier: Classifier, batch: History) -> 
     severity = campaign.simulator.outcomes.index(rule.probability)
     latent = classifier.latent(rule.probability)
     margin = None
-    if isinstance(latent, MarginLatent):
+    if isinstance(latent, ByMargins):
         margin = margin_of(campaign, classifier, severity, batch.outcome, batch.margins)
     wrong = contradictions(
         latent, campaign.features(batch.designs), batch.outcome >= severity, margin, classifier.repeatable

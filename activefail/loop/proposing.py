@@ -20,7 +20,7 @@ from activefail.record.batch import ACTIVE, CHECK
 from activefail.simulators.user_code import CRITERION_KEY, LEARNER_KEYS
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.system import ByMargins
 from activefail.verification.confidence_bounds import unseen_outcomes
 
 WIDENING = 2.0
@@ -169,6 +169,6 @@ def search_for_unseen(campaign: Campaign, history: History, classifier: Classifi
     unseen = tuple(
         name
         for name in unseen_outcomes(outcomes, history.counts(len(outcomes)))
-        if name == outcomes[0] or not isinstance(classifier.latent(name), MarginLatent)
+        if name == outcomes[0] or not isinstance(classifier.latent(name), ByMargins)
     )
     return Search(history.designs, unseen) if unseen else None

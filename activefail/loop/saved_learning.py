@@ -22,10 +22,13 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
     if learns == "outcomes" or not names or campaign.settings.classifier.is_custom:
         return None
-    columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
+    if campaign.system is not None:
+        columns: tuple[int, ...] = (0,)
+    else:
+        columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
     boundaries = range(1, len(campaign.simulator.outcomes))
     values = np.stack([campaign.margins_at(severity, known.outcome, known.margins) for severity in boundaries])
-    return LearnableMargins(values, campaign.levels, columns, learns != "auto")
+    return LearnableMargins(values, campaign.levels, columns, learns != "auto", campaign.system)
 
 
 def restore(

@@ -26,7 +26,7 @@ from activefail.features import FeatureMap
 from activefail.reliability.hidden import ModeCheck
 from activefail.reliability.integral import Boundaries, Integral, OfBoundary, Standardised, integrate
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.system import ByMargins
 from activefail.weighted import WeightedRows
 
 RADIAL = 20_000
@@ -42,7 +42,7 @@ density of the measure everywhere."""
 SURE = 4.0
 """Standard deviations from the boundary beyond which the classifier is sure."""
 
-_WIDER = 2.0
+WIDER = 2.0
 """Factor of the latent's standard deviation."""
 
 _FARTHEST = 1e6
@@ -56,6 +56,31 @@ _ACCURACY = 0.01
 
 _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
+
+
+Interval = tuple[float, float, float]
+"""A middle, and the lower and the upper end."""
+
+
+class ModeShare(NamedTuple):
+    """What a mode has to do with the failures of its system.
+
+    Attributes:
+        name: of its margin.
+        failed: share of the failure probability where the mode has failed, with its interval.
+        decisive: share where the system would not fail without this mode.
+    """
+
+    name: str
+    failed: Interval
+    decisive: Interval
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What `--json` shows of it."""
+        keys = ("", "_low", "_high")
+        pairs = (("failed", self.failed), ("decisive", self.decisive))
+        return {f"{name}{key}": one for name, of in pairs for key, one in zip(keys, of, strict=True)}
 
 
 class Doubt(NamedTuple):
@@ -95,6 +120,7 @@ class ProbabilityEstimate:
         exists: lower end of the share of designs that exist.
         lost: the classifier's probability if none, and if all, of the runs that are probably lost end beyond the
             boundary; None if none was lost.
+        modes: what the modes of a system have to do with its failures; empty without a system.
     """
 
     probability: float
@@ -115,6 +141,7 @@ class ProbabilityEstimate:
     check: ModeCheck | None = None
     exists: float = 1.0
     lost: tuple[float, float] | None = None
+    modes: tuple[ModeShare, ...] = ()
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -145,10 +172,6 @@ def counted(standardised: Array, beyond: NDArray[np.bool_], answered: NDArray[np
     wrong = answered & (beyond != (standardised > 0.0))
     numbers = (~answered, beyond & answered, wrong, wrong & (np.abs(standardised) > SURE))
     return Counts(len(beyond), *(int(of.sum()) for of in numbers))
-
-
-Interval = tuple[float, float, float]
-"""A middle, and the lower and the upper end."""
 
 
 def estimated(
@@ -222,6 +245,8 @@ class Plan:
         ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
             where all are; None if none is probably lost.
         of: a plan of the same designs for another boundary and its baseline.
+        drawn_from: the designs, (N, d), that might have been drawn, and what each adds to the mean square of `ratio`,
+            (N,).
     """
 
     designs: Array
@@ -233,6 +258,7 @@ class Plan:
     deviation: float = 1.0
     ends: "tuple[Plan, Plan] | None" = None
     of: "Callable[[Standardised, OfBoundary], Plan] | None" = None
+    drawn_from: tuple[Array, Array] | None = None
 
     def deviating(self, deviation: float) -> "Plan":
         """The plan after the fresh margins showed how far they lie from their predictions.
@@ -296,7 +322,7 @@ class Plan:
         corrections = (beyond.astype(np.float64) - self.predicted) * self.ratio
         (missed, false), m = self._doubts, len(corrections)
         middle = self.probability + float(corrections.mean())
-        variance = _variance(corrections, missed.floor + false.floor) / m
+        variance = variance_of(corrections, missed.floor + false.floor) / m
         variance += self.standard_error**2 + missed.of_population + false.of_population
         half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
         return middle, middle - half, middle + half
@@ -312,7 +338,7 @@ class Plan:
 
         def upper(wrong: NDArray[np.bool_], doubt: Doubt) -> float:
             corrections = wrong * self.ratio
-            variance = _variance(corrections, doubt.floor) / len(wrong) + doubt.of_population
+            variance = variance_of(corrections, doubt.floor) / len(wrong) + doubt.of_population
             return float(corrections.mean()) + quantile * float(np.sqrt(variance))
 
         predicted, (of_missed, of_false) = self.predicted, self._doubts
@@ -327,13 +353,13 @@ class Plan:
         return hit / (hit + missed), hit_low / (hit_low + missed_high)
 
 
-def _variance(corrections: Array, floor: float) -> float:
+def variance_of(corrections: Array, floor: float) -> float:
     """Variance of one correction, with a floor that counts as `_PRIOR_WEIGHT` observations."""
     m = len(corrections)
     return float(m * corrections.var(ddof=1) + _PRIOR_WEIGHT * floor) / (m + _PRIOR_WEIGHT)
 
 
-def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Array, margin: Array) -> float:
+def deviation_of_margins(latent: ByMargins, features: FeatureMap, designs: Array, margin: Array) -> float:
     """Root mean square of fresh margins' deviations from their predictions, in the latent's standard deviations.
 
     It is at least 1. Margins that are undefined, or censored, do not count.
@@ -385,7 +411,11 @@ def plan_estimate(
 
 
 def plan_estimates(
-    boundaries: Sequence[Boundaries], space: DesignSpace | WeightedRows, m: int, rng: np.random.Generator
+    boundaries: Sequence[Boundaries],
+    space: DesignSpace | WeightedRows,
+    m: int,
+    rng: np.random.Generator,
+    beside: Callable[[Array], Array] | None = None,
 ) -> list[Plan]:
     """Plan m fresh simulations that correct the baselines of all b boundaries.
 
@@ -395,10 +425,11 @@ def plan_estimates(
         space: the distribution.
         m: number of simulations.
         rng: draws them.
+        beside: a doubt that they are drawn for as much as for that of a boundary, (n, d) -> (n,).
     """
     integrals = [_baselines(of, space) for of in boundaries]
     shares = [[integral.of(column) for column in range(len(integral.probability))] for integral in integrals]
-    return _planned(boundaries, space, shares, m, rng)
+    return _planned(boundaries, space, shares, m, rng, beside)
 
 
 def _planned(
@@ -407,6 +438,7 @@ def _planned(
     baselines: Sequence[Sequence[OfBoundary]],
     m: int,
     rng: np.random.Generator,
+    beside: Callable[[Array], Array] | None = None,
 ) -> list[Plan]:
     """A plan for each of b boundaries, with the same m designs; `baselines` are (1 or 3, b)."""
     X, weight = population(space, RADIAL, None, rng)[1:]
@@ -414,7 +446,8 @@ def _planned(
     # Rows are the distribution itself, and are drawn by their weights; a sample is drawn as it comes.
     is_exact = isinstance(space, WeightedRows)
     shares = weight / weight.sum() if is_exact else np.full(len(X), 1.0 / len(X))
-    parts = weight * doubt(z / _WIDER).max(axis=0)
+    parts = weight * doubt(z / WIDER).max(axis=0)
+    parts = parts if beside is None else np.concatenate([parts, (weight * beside(X))[None]])
     if len(parts := parts[parts.sum(axis=1) > 0.0]):
         # The same for each boundary, however likely its outcome is.
         of_each = (1.0 - UNIFORM) / len(parts) * parts / parts.sum(axis=1, keepdims=True)
@@ -423,7 +456,7 @@ def _planned(
     ratio = np.divide(weight, len(X) * shares, out=np.zeros(len(X)), where=shares > 0.0)
 
     def doubts(z: Array, deviation: float) -> tuple[Doubt, Doubt]:
-        side = ndtr(z / (_WIDER * deviation))
+        side = ndtr(z / (WIDER * deviation))
         in_doubt = np.minimum(side, 1.0 - side)
 
         def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
@@ -437,7 +470,8 @@ def _planned(
 
     def plan(z: Array, share: OfBoundary) -> Plan:
         doubts_of = partial(doubts, z)
-        return Plan(X[rows], ratio[rows], z[rows], share.probability, share.error, doubts_of, of=plan_of)
+        numbers = share.probability, share.error
+        return Plan(X[rows], ratio[rows], z[rows], *numbers, doubts_of, of=plan_of, drawn_from=(X, shares * ratio**2))
 
     def plan_of(boundary: Standardised, share: OfBoundary) -> Plan:
         return plan(boundary(X), share)

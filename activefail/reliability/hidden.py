@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.space import Array, DesignSpace, radius
-from activefail.surrogate.margin import AnyLatent, MarginLatent
+from activefail.surrogate.system import AnyLatent, ByMargins
 
 _POOL = 2048
 """Candidates for each place."""
@@ -72,7 +72,7 @@ def contradictions(
     wrong = (moments.mean > 0.0) != beyond
     if not repeatable:
         wrong &= np.abs(moments.standardised) > _FARTHEST
-    if isinstance(latent, MarginLatent) and margin is not None:
+    if isinstance(latent, ByMargins) and margin is not None:
         wrong |= np.abs(latent.deviations(F, margin)) > _FARTHEST
     return np.asarray(wrong)
 

@@ -13,7 +13,7 @@ from activefail.space import Array, DesignSpace
 from activefail.surrogate.boundary_gp import joint
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import Latent
-from activefail.surrogate.margin import AnyLatent, MarginLatent
+from activefail.surrogate.system import AnyLatent, ByMargins, SystemLatent
 
 _PATHS = 200
 """Joint paths of the latent that give the standard deviation of the probability."""
@@ -50,7 +50,7 @@ def model_probability(
         rng: generator of the population and the paths.
     """
     latent = classifier.latent(outcome)
-    assert isinstance(latent, MarginLatent)
+    assert isinstance(latent, ByMargins)
 
     def share(lost: Lost, accuracy: float) -> OfBoundary:
         return integrate(BoundariesOf(classifier, features, lost, outcome), space, accuracy=accuracy).of(0)
@@ -66,7 +66,7 @@ def model_probability(
 
 
 def posterior_sd(
-    latent: MarginLatent,
+    latent: ByMargins,
     F: Array,
     standardised: Array,
     weight: Array,
@@ -92,7 +92,13 @@ def posterior_sd(
     uncertain = doubt(standardised)
     part = weight * uncertain + LEAST
     rows = rng.choice(len(F), POINTS, p=part / part.sum())
-    paths, noise = _paths(latent, F[rows], rng, latent.trained.noise), latent.trained.noise
+    if isinstance(latent, SystemLatent):
+        # The sides of the modes decide; their units differ.
+        modes = np.stack([_paths(mode, F[rows], rng) for mode in latent.modes], axis=-1)
+        paths, noise = -latent.system(-modes), 0.0
+    else:
+        noise = latent.trained.noise
+        paths = _paths(latent, F[rows], rng, noise)
     beyond = ndtr(paths / noise) if noise else (paths > 0.0).astype(np.float64)
     if impossible is not None:
         beyond *= ndtr(-_paths(impossible, F[rows], rng))

@@ -10,7 +10,7 @@ from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.figures.svg import inline
 from activefail.findings import quantities
-from activefail.findings.estimates import rounded_up
+from activefail.findings.estimates import modes_in_words, rounded_up
 from activefail.findings.failure import FailureFindings
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import ProbabilityEstimate
@@ -58,6 +58,7 @@ def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]
     beta = [f"{-ndtri(p):.2f}" for p in (estimate.probability, estimate.high, estimate.low)]
     return {
         "of": estimate,
+        "modes": modes_in_words(estimate.modes),
         "probability": probability,
         "interval": f"{low} to {high}",
         "beta": beta[0] if bound is None and estimate.low > 0.0 else "",

@@ -27,6 +27,7 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
+from activefail.findings.learned_from import source_in_words
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
@@ -42,8 +43,8 @@ from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
 from activefail.shares import choices_with_shares
 from activefail.simulators.bearing import DfpSimulator, terms_of
-from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
+from activefail.surrogate.system import ByMargins
 from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
@@ -223,8 +224,8 @@ def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
     campaign, classifier = findings.campaign, findings.classifier
     rows = []
     for number, latent in enumerate(classifier.latents):
-        is_margin = isinstance(latent, MarginLatent)
-        name = campaign.simulator.margins[classifier.choices[number].margin] if is_margin else ""
+        is_margin = isinstance(latent, ByMargins)
+        name = source_in_words(campaign.learnable[classifier.choices[number].margin]) if is_margin else ""
         kernel = MARGIN_KERNEL if is_margin else campaign.settings.classifier.name
         rows.append((campaign.simulator.outcomes[number + 1], name, kernel))
     return rows

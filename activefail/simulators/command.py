@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +77,7 @@ class CommandSimulator:
         retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
-        levels: of the only margin (see `read_answer`).
+        levels, system: of the margins (see `read_answer`).
         templates: input files, filled in and written to the folder under their names without `.in`.
         copies: files and folders that are copied to the folder. Both are relative to `here`.
         pattern: regular expression with one group, whose last match in `output` is the answer; None reads `{out}`.
@@ -96,6 +96,7 @@ class CommandSimulator:
     keep: bool = True
     largest_file: int = 10_000_000_000
     levels: tuple[float, ...] = ()
+    system: Callable[[Array], Array] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
     templates: tuple[str, ...] = ()
@@ -292,7 +293,7 @@ class CommandSimulator:
             answer = self._answer(folder, out)
         except UnusableAnswerError as error:
             raise UnusableAnswerError(f"{error}{said}") from None
-        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds)
+        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system)
 
     def _answer(self, folder: Path, out: Path) -> object:
         """What the program wrote.

@@ -33,7 +33,7 @@ class PythonSimulator:
         source: digest required of its module, on any machine; "" accepts any (see `load_function`).
         folder: the run folder, from which no code is run.
         renew: most simulations per process; None means no limit.
-        levels: of the only margin (see `read_answer`).
+        levels, system: of the margins (see `read_answer`).
     """
 
     space: DesignSpace
@@ -45,6 +45,7 @@ class PythonSimulator:
     folder: Path | None = None
     renew: int | None = None
     levels: tuple[float, ...] = ()
+    system: Callable[[Array], Array] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
 
@@ -91,7 +92,8 @@ class PythonSimulator:
             except ActivefailError as error:
                 # The user's code raised it: only this simulation fails, not the campaign.
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
-            answers.append(read_answer(answer, self.outcomes, self.margins, self.levels, time.perf_counter() - began))
+            seconds = time.perf_counter() - began
+            answers.append(read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system))
         return Results.concatenate(answers)
 
 

@@ -1,6 +1,6 @@
 """Input and output of a custom simulator: one design as a dictionary, and its result."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from decimal import Decimal
 from enum import Enum
 from numbers import Real
@@ -44,15 +44,18 @@ def read_answer(
     margins: tuple[str, ...],
     levels: tuple[float, ...],
     seconds: float,
+    system: Callable[[Array], Array] | None = None,
 ) -> Results:
     """The result of one design, from what a custom simulator returned.
 
     Args:
-        answer: the outcome, a table with "outcome" and "margins", or the only margin as a number.
+        answer: the outcome, a table with "outcome" and "margins", the only margin as a number, or the margins of a
+            system by name.
         outcomes, margins: names that it may contain.
         levels: values of the only margin at or below which each outcome but the first occurs; empty if a number is no
             answer.
         seconds: wall time.
+        system: margins, (k,) -> the system's, at most 0 where it fails, NaN if they do not say; None without a system.
 
     Raises:
         UnusableAnswerError: if the answer breaks a rule.
@@ -61,6 +64,8 @@ def read_answer(
         answer = {"outcome": answer}
     elif levels and not isinstance(answer, Mapping):
         answer = _of_limit_state(answer, outcomes, margins[0], levels)
+    elif system is not None and isinstance(answer, Mapping) and "outcome" not in answer:
+        answer = _of_system(answer.get("margins", answer), outcomes, margins, system)
     if not isinstance(answer, Mapping):
         raise UnusableAnswerError(f"{_ways(outcomes)}, got {answer!r}")
     unknown = set(answer) - {"outcome", "margins"}
@@ -74,16 +79,7 @@ def read_answer(
     outcome_name = str.__str__(outcome) if isinstance(outcome, str) else None
     if outcome_name not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
-    if not isinstance(margin_values, Mapping):
-        raise UnusableAnswerError(
-            f"margins: must be a dictionary of {', '.join(margins) or 'nothing'}, got {margin_values!r}"
-        )
-    for name in margin_values:
-        if name not in margins:
-            raise UnusableAnswerError(
-                f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
-            )
-    values = [_number(name, margin_values.get(name, np.nan)) for name in margins]
+    values = _values(margin_values, margins)
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
@@ -94,6 +90,38 @@ def read_answer(
 
 def _ways(outcomes: tuple[str, ...]) -> str:
     return f"the answer must be the name of an outcome ({', '.join(outcomes)}), or a dictionary with `outcome`"
+
+
+def _values(given: object, margins: tuple[str, ...]) -> list[float]:
+    """The margins by name as numbers, NaN where one is missing.
+
+    Raises:
+        UnusableAnswerError: if they are no dictionary of numbers with these names.
+    """
+    if not isinstance(given, Mapping):
+        raise UnusableAnswerError(f"margins: must be a dictionary of {', '.join(margins) or 'nothing'}, got {given!r}")
+    for name in given:
+        if name not in margins:
+            raise UnusableAnswerError(
+                f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
+            )
+    return [_number(name, given.get(name, np.nan)) for name in margins]
+
+
+def _of_system(
+    given: object, outcomes: tuple[str, ...], margins: tuple[str, ...], system: Callable[[Array], Array]
+) -> dict[str, object]:
+    """The outcome and the margins of an answer that is a system's margins.
+
+    Raises:
+        UnusableAnswerError: if they are no numbers, or those that are undefined leave the outcome open.
+    """
+    values = dict(zip(margins, _values(given, margins), strict=True))
+    value = float(system(np.array(list(values.values()))))
+    if np.isnan(value):
+        undefined = ", ".join(name for name, number in values.items() if np.isnan(number))
+        raise UnusableAnswerError(f"margins: {undefined} must be defined, since the others leave the outcome open")
+    return {"outcome": outcomes[int(value <= 0.0)], "margins": values}
 
 
 def _of_limit_state(

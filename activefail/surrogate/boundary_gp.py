@@ -1,7 +1,7 @@
 """A boundary's latent as a GPyTorch variational GP in a BoTorch model, whose posterior is read off the sites."""
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from typing import Any, NamedTuple, Never, Self
 
 import gpytorch
@@ -10,6 +10,7 @@ import torch
 from botorch.exceptions.errors import UnsupportedError
 from botorch.models.approximate_gp import ApproximateGPyTorchModel
 from botorch.models.model import Model
+from botorch.posteriors import GPyTorchPosterior
 from gpytorch.distributions import MultivariateNormal
 from linear_operator.operators import DiagLinearOperator, MatmulLinearOperator
 from torch import Tensor
@@ -20,6 +21,7 @@ from activefail.surrogate.kernels import Prior
 from activefail.surrogate.likelihoods import expected_precision
 from activefail.surrogate.moments import LARGEST_FEATURE, in_parts
 from activefail.surrogate.readout import Readout, Trend
+from activefail.systems import System
 
 
 class Seen(NamedTuple):
@@ -239,6 +241,57 @@ class BoundaryModel(ApproximateGPyTorchModel):
         return BoundaryModel(model=BoundaryGP(_Fantasy(before, P, noise)), likelihood=self.likelihood)
 
 
+class SystemModel(Model):
+    """The models of a system's modes as one, whose mean is the probit of the system's failure and whose sd is 1.
+
+    Modes are independent given the simulations.
+
+    Args:
+        modes: models of the modes' latents.
+        system: of these.
+    """
+
+    num_outputs = 1
+
+    def __init__(self, modes: Sequence[BoundaryModel], system: System) -> None:
+        super().__init__()
+        self.modes, self.system = tuple(modes), system
+
+    def sides(self, F: Tensor) -> Array:
+        """The probits that each mode has failed at features, (n, m) -> (n, k)."""
+        return np.column_stack([(mean / sd).numpy() for mean, sd in (mode.moments(F) for mode in self.modes)])
+
+    @torch.no_grad()
+    def moments(self, F: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation at features, (n, m) -> (n,)."""
+        probit = torch.from_numpy(self.system.probit(self.sides(F)))
+        return probit, torch.ones_like(probit)
+
+    def posterior(self, X: Tensor, *args: Any, **options: Any) -> GPyTorchPosterior:
+        """The posterior of designs with scaled features (..., q, m), as if they were independent."""
+        mean, sd = (of.reshape(X.shape[:-1]) for of in self.moments(X.reshape(-1, X.shape[-1])))
+        return GPyTorchPosterior(MultivariateNormal(mean, DiagLinearOperator(sd)))
+
+    def keeping(self, *points: Tensor) -> AbstractContextManager[None]:
+        """As of `BoundaryModel`."""
+        kept = ExitStack()
+        for mode in self.modes:
+            kept.enter_context(mode.keeping(*points))
+        return kept  # type: ignore[return-value]
+
+    def fantasised(self, P: Tensor) -> "SystemModel":
+        """As of `BoundaryModel`: a simulation yields the margins of all modes."""
+        return SystemModel([mode.fantasised(P) for mode in self.modes], self.system)
+
+
+def parts_of(model: Model, F: Tensor) -> list[tuple[Model, Tensor]]:
+    """The models that decide the side of the boundary at features, (n, m), and where each does, (n,) of 0 and 1."""
+    if not isinstance(model, SystemModel):
+        return [(model, torch.ones(len(F), dtype=torch.float64))]
+    deciding = torch.from_numpy(model.system.deciding(model.sides(F)))
+    return [(mode, (deciding == position).double()) for position, mode in enumerate(model.modes)]
+
+
 @torch.no_grad()
 def moments(model: Model, F: Array) -> tuple[Array, Array]:
     """Marginal mean and standard deviation of a model at scaled features, (n, m), each (n,)."""
@@ -258,7 +311,7 @@ def joint(model: Model, F: Array) -> tuple[Array, Array]:
 
 def marginal(model: Model, F: Tensor) -> tuple[Tensor, Tensor]:
     """As `moments`, of tensors, with gradients."""
-    if isinstance(model, BoundaryModel):
+    if isinstance(model, BoundaryModel | SystemModel):
         return model.moments(F)
     posterior = model.posterior(F.unsqueeze(-2))
     return posterior.mean.reshape(len(F)), posterior.variance.reshape(len(F)).sqrt()
@@ -283,7 +336,7 @@ def posterior_covariance(model: Model, F: Tensor, G: Tensor) -> Tensor:
 
 def keeping(model: Model, *points: Tensor) -> AbstractContextManager[None]:
     """The context in which a model keeps what it says of points, (n, m), that do not change; a user's model may not."""
-    return model.keeping(*points) if isinstance(model, BoundaryModel) else nullcontext()
+    return model.keeping(*points) if isinstance(model, BoundaryModel | SystemModel) else nullcontext()
 
 
 def fantasised(model: Model, P: Tensor) -> Model:
@@ -291,7 +344,7 @@ def fantasised(model: Model, P: Tensor) -> Model:
 
     A model of the user's that cannot be conditioned on observations stays as it is.
     """
-    if isinstance(model, BoundaryModel):
+    if isinstance(model, BoundaryModel | SystemModel):
         return model.fantasised(P)
     try:
         with torch.no_grad():

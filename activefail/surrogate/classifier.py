@@ -11,8 +11,8 @@ from activefail.surrogate.margin_choice import Choice
 from activefail.surrogate.moments import Predicted, predicted
 
 if TYPE_CHECKING:
-    from activefail.surrogate.latent import CustomLatent, Latent
-    from activefail.surrogate.margin import MarginLatent
+    from activefail.surrogate.latent import Latent
+    from activefail.surrogate.system import AnyLatent
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Classifier:
 
     outcomes: tuple[str, ...]
     features: FeatureMap
-    latents: "tuple[Latent | CustomLatent | MarginLatent, ...]"
+    latents: "tuple[AnyLatent, ...]"
     choices: tuple[Choice, ...] = ()
     unknown: "Latent | None" = None
     impossible: "Latent | None" = None
@@ -47,7 +47,7 @@ class Classifier:
         lost = [latent.moments(F).probability for latent in (self.unknown, self.impossible) if latent is not None]
         return np.asarray(np.prod([np.ones(len(F)), *(1.0 - p for p in lost)], axis=0))
 
-    def latent(self, outcome: str) -> "Latent | CustomLatent | MarginLatent":
+    def latent(self, outcome: str) -> "AnyLatent":
         """The latent of the boundary below the named outcome."""
         return self.latents[self.outcomes.index(outcome) - 1]
 

@@ -27,7 +27,6 @@ from activefail.surrogate.censored import CensoredSites, censored_posterior, fir
 from activefail.surrogate.covariance import NUGGET
 from activefail.surrogate.inducing import choose
 from activefail.surrogate.kernels import LEARNED_ON, POSITIVE, Bounds, Prior, minimise, scaled_kernel
-from activefail.surrogate.latent import CustomLatent, Latent
 from activefail.surrogate.margin_data import KERNEL, NOISE, WARPINGS, MarginData, is_truncated, spread
 from activefail.surrogate.moments import Moments, margin_moments
 from activefail.surrogate.readout import EXACT, MarginReadout, Readout, margin_readout
@@ -423,6 +422,16 @@ class MarginLatent:
         """Whether nothing can be learned yet; a margin always teaches something."""
         return False
 
+    @property
+    def is_clipped(self) -> bool:
+        """Whether the margin is clipped (see `MarginData`)."""
+        return self.trained.data.is_clipped
+
+    @property
+    def size_of_support(self) -> int:
+        """Number of support points; 0 if all points are."""
+        return self.trained.data.size_of_support
+
     @cached_property
     def model(self) -> BoundaryModel:
         """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
@@ -451,6 +460,3 @@ class MarginLatent:
         """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
         mean, sd = self.trained.left_out()
         return margin_moments(self.threshold - mean, sd, self.trained.noise)
-
-
-AnyLatent = Latent | CustomLatent | MarginLatent

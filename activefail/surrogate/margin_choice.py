@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.space import Array
+from activefail.systems import System
 
 OUTCOMES = -1
 """The choice of the outcomes alone."""
@@ -24,7 +25,7 @@ class Choice(NamedTuple):
     """What a boundary is learned from.
 
     Attributes:
-        margin: column of the margin, or OUTCOMES.
+        margin: column of the margin, 0 for a system of all, or OUTCOMES.
         simulations: number of simulations when it was chosen.
         margin_score: mean log probability of left-out designs' sides under the best regression [nat]; NaN if no margin
             can be used, or nothing was compared.
@@ -39,16 +40,22 @@ class Choice(NamedTuple):
     one_sided: bool = False
 
 
-def usable(margin: Array, beyond: NDArray[np.bool_]) -> str:
-    """Why a margin, (n,), cannot tell the side of a boundary; empty if it can.
+def usable(margin: Array, beyond: NDArray[np.bool_], system: System | None = None) -> str:
+    """Why a margin, (n,), or those of a system, (n, k), cannot tell the side of a boundary; empty if it can.
 
     It can if it is at most 0 exactly beyond the boundary. It may be undefined (NaN) there, but not elsewhere. Two
     different positive margins are needed.
 
     Args:
-        margin: (n,) of the simulations.
+        margin: (n,) or (n, k) of the simulations.
         beyond: (n,) whether each outcome is beyond the boundary.
+        system: of the margins, each of which needs two different values.
     """
+    if system is not None:
+        for name, of_mode in zip(system.names, margin.T, strict=True):
+            if np.isinf(of_mode).any() or len(np.unique(of_mode[np.isfinite(of_mode)])) < 2:
+                return f"{name} is infinite, or has fewer than two different values"
+        margin = system(margin)
     short = margin[~beyond]
     if np.isnan(short).any():
         return f"it is undefined in {int(np.isnan(short).sum())} simulations on the safe side of the boundary"
@@ -78,6 +85,11 @@ def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:
     return bool(previous.one_sided and beyond.any() and not beyond.all())
 
 
+def taken(margins: Array, column: int, system: System | None) -> Array:
+    """What a boundary is learned from, of margins, (n, k): those of one column, (n,), or all of a system."""
+    return margins if system is not None else margins[:, column]
+
+
 @dataclass(frozen=True)
 class LearnableMargins:
     """The margins that a classifier may learn from.
@@ -87,12 +99,18 @@ class LearnableMargins:
         levels: (b, k) at or below which a margin of the simulator is beyond each boundary.
         columns: those that may be chosen.
         required: whether the one column must be used, without a comparison.
+        system: of all margins, which are then learned together as column 0; None if each is learned alone.
     """
 
     values: Array
     levels: Array
     columns: tuple[int, ...]
     required: bool = False
+    system: System | None = None
+
+    def of(self, severity: int, column: int) -> Array:
+        """What a boundary is learned from: the margin of a column, (n,), or those of the system, (n, k)."""
+        return taken(self.values[severity - 1], column, self.system)
 
 
 def learned_with(choices: Sequence[Choice], severity: int) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, log_softmax, logsumexp, ndtr, ndtri, ndtri_exp, xlogy
 
 from activefail.space import Array
+from activefail.systems import CERTAIN, System
 
 LARGEST_FEATURE = 1e3
 """Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space. Far outside the
@@ -86,6 +87,12 @@ def margin_moments(mean: Array, sd: Array, noise: float) -> Moments:
     return Moments(mean / noise, np.sqrt(np.maximum((sd / noise) ** 2 - 1.0, 1e-12)))
 
 
+def system_moments(system: System, z: Array) -> Moments:
+    """Moments of a system's latent, (n,), from the probits that each mode has failed, (n, k)."""
+    probit = system.probit(z)
+    return MarginMoments(probit, np.ones_like(probit))
+
+
 class LinkedMoments(Moments):
     """Moments of a latent with another likelihood than the probit.
 
@@ -153,10 +160,6 @@ def is_nested(latents: Sequence[Any]) -> bool:
     """Whether all boundaries are levels of one margin."""
     shared = [latent.margin_data for latent in latents]
     return shared[0] is not None and all(one is shared[0] for one in shared)
-
-
-CERTAIN = 38.0
-"""Probit of what is certain: a probability of 10⁻³¹⁶, the least that a float holds."""
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from activefail.surrogate.censored import CensoredSites
 from activefail.surrogate.covariance import JITTER, NUGGET, correlation
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, LearnableMargins, defined, learned_with, level_of
 from activefail.surrogate.margin_data import KERNEL, NOISE, WARPINGS, MarginData
-from activefail.surrogate.moments import Moments, Predicted, in_parts, margin_moments, predicted
+from activefail.surrogate.moments import Moments, Predicted, in_parts, margin_moments, predicted, system_moments
 from activefail.surrogate.readout import Readout, Trend, margin_readout, readout_of
+from activefail.systems import System
 
 State = Mapping[str, NDArray[Any]]
 """The arrays of `state.classifier_state`."""
@@ -124,6 +125,25 @@ class SavedLatent:
 
 
 @dataclass(frozen=True)
+class SavedSystem:
+    """The latent of a system's boundary.
+
+    Attributes:
+        modes: the latents of the modes.
+        system: of these.
+    """
+
+    modes: tuple[SavedLatent, ...]
+    system: System
+
+    margin_data = None
+
+    def moments(self, F: Array) -> Moments:
+        """Of the probit at scaled features, (n, m)."""
+        return system_moments(self.system, np.column_stack([mode.moments(F).side for mode in self.modes]))
+
+
+@dataclass(frozen=True)
 class SavedClassifier:
     """The latents of a trained classifier.
 
@@ -136,7 +156,7 @@ class SavedClassifier:
 
     outcomes: tuple[str, ...]
     features: FeatureMap
-    latents: tuple[SavedLatent, ...]
+    latents: tuple[SavedLatent | SavedSystem, ...]
     repeatable: bool = True
 
     def predicted(self, X: Array) -> Predicted:
@@ -170,16 +190,20 @@ def saved_classifier(
     features = replace(features, known=(center, spread))
     F = features(X)
     regressions = dict[str, SavedLatent]()
-    latents = []
+    latents: list[SavedLatent | SavedSystem] = []
     for source in sources(state, outcomes, margins):
         if source.margin is None:
             latents.append(_of_outcomes(state, source.name, kernel, F))
             continue
+        if source.system is not None:
+            modes = (_of_margin(state, *of_mode) for of_mode in source.modes(F))
+            latents.append(SavedSystem(tuple(modes), source.system))
+            continue
         if source.name not in regressions:
             regressions[source.name] = _of_margin(state, source.name, F, source.margin)
-        latent = regressions[source.name]
-        assert latent.margin_data is not None
-        latents.append(replace(latent, threshold=float(latent.margin_data.warped(np.array(source.level)))))
+        shared = regressions[source.name]
+        assert shared.margin_data is not None
+        latents.append(replace(shared, threshold=float(shared.margin_data.warped(np.array(source.level)))))
     for latent in latents:
         check(latent, F)
     return SavedClassifier(tuple(outcomes), features, tuple(latents), repeatable)
@@ -208,8 +232,21 @@ class Source(NamedTuple):
     """What a boundary was learned from."""
 
     name: str  # of the outcome whose arrays hold it
-    margin: Array | None  # (n,); None if it was learned from outcomes
+    margin: Array | None  # (n,), or (n, k) of a system; None if it was learned from outcomes
     level: float = 0.0  # of the margin
+    system: System | None = None
+
+    def modes(self, F: Array) -> Iterator[tuple[str, Array, Array]]:
+        """The name, the features and the margins of each mode of the system, from scaled features, (n, m)."""
+        assert self.margin is not None
+        for number, margin in enumerate(self.margin.T):
+            known = ~np.isnan(margin)
+            yield mode_name(self.name, number), F[known], margin[known]
+
+
+def mode_name(outcome: str, number: int) -> str:
+    """The name of the arrays of a system's mode."""
+    return f"{outcome}/{number}"
 
 
 def sources(state: State, outcomes: Sequence[str], margins: LearnableMargins | None) -> Iterator[Source]:
@@ -220,8 +257,8 @@ def sources(state: State, outcomes: Sequence[str], margins: LearnableMargins | N
             yield Source(name, None)
             continue
         shared = learned_with(choices, severity)
-        margin = margins.values[shared - 1][:, choices[severity - 1].margin]
-        yield Source(outcomes[shared], margin, level_of(margins, choices, severity))
+        margin = margins.of(shared, choices[severity - 1].margin)
+        yield Source(outcomes[shared], margin, level_of(margins, choices, severity), margins.system)
 
 
 def choices_of(state: State, outcomes: Sequence[str], margins: LearnableMargins | None) -> tuple[Choice, ...]:

@@ -1,7 +1,7 @@
 """Conversion of a trained classifier to named arrays and back."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,20 +14,27 @@ from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.kernels import Prior
 from activefail.surrogate.latent import CustomLatent, CustomModel, Latent, Learner, VariationalGP
-from activefail.surrogate.margin import AnyLatent, MarginFit, MarginLatent, margin_prior
+from activefail.surrogate.margin import MarginFit, MarginLatent, margin_prior
 from activefail.surrogate.margin_choice import LearnableMargins
 from activefail.surrogate.margin_data import WARPINGS
-from activefail.surrogate.saved import SCALING, State, check, choices_of, margin_data_of, of_any_version, sources
+from activefail.surrogate.saved import (
+    SCALING,
+    State,
+    check,
+    choices_of,
+    margin_data_of,
+    mode_name,
+    of_any_version,
+    sources,
+)
 from activefail.surrogate.sites import Sites
+from activefail.surrogate.system import AnyLatent, SystemLatent
 
 
 def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
     """The learned quantities of a classifier, and the scaling of its features, as named arrays."""
     state: dict[str, Any] = dict(zip(SCALING, classifier.features.scaling, strict=True))
-    for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
-        if isinstance(latent, CustomLatent):  # learned again from the record
-            continue
-        trained = latent.trained
+    for name, trained in _trained(classifier):
         if isinstance(trained, MarginFit):
             data = trained.data
             own: dict[str, Any] = {
@@ -49,6 +56,15 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
     for name, choice in zip(classifier.outcomes[1:], classifier.choices, strict=False):
         state[f"{name}/choice"] = np.array(choice, dtype=np.float64)
     return state
+
+
+def _trained(classifier: Classifier) -> Iterator[tuple[str, Fit | MarginFit]]:
+    """What is saved, by the name of its arrays; custom latents are learned again from the record."""
+    for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
+        if isinstance(latent, SystemLatent):
+            yield from ((mode_name(name, number), mode.trained) for number, mode in enumerate(latent.modes))
+        elif not isinstance(latent, CustomLatent):
+            yield name, latent.trained
 
 
 def classifier_from_state(
@@ -83,11 +99,19 @@ def classifier_from_state(
             else:
                 latents.append(Latent(_fit(state, name, learner, F, outcome >= severity)))
             continue
-        if name not in regressions:
-            data = margin_data_of(state, name, F, source.margin)
-            prior = _set(margin_prior(F.shape[1], learner.repeatable), state, name)
-            regressions[name] = MarginFit(data, prior, math.nan, int(state[f"{name}/learned_on"]))
-        latents.append(MarginLatent(regressions[name], source.level))
+
+        def regression(name: str, F: Array, margin: Array) -> MarginFit:
+            if name not in regressions:
+                prior = _set(margin_prior(F.shape[1], learner.repeatable), state, name)
+                learned_on = int(state[f"{name}/learned_on"])
+                regressions[name] = MarginFit(margin_data_of(state, name, F, margin), prior, math.nan, learned_on)
+            return regressions[name]
+
+        if source.system is None:
+            latents.append(MarginLatent(regression(name, F, source.margin), source.level))
+        else:
+            modes = (MarginLatent(regression(*of_mode)) for of_mode in source.modes(F))
+            latents.append(SystemLatent(tuple(modes), ~np.isnan(source.margin), F, source.system))
     for latent in latents:
         check(latent, F)
     choices = choices_of(state, outcomes, margins)

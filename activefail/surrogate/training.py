@@ -12,7 +12,7 @@ from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import CustomLatent, CustomModel, Latent, Learner
-from activefail.surrogate.margin import AnyLatent, MarginFit, MarginLatent, fit_margin
+from activefail.surrogate.margin import MarginFit, MarginLatent, fit_margin
 from activefail.surrogate.margin_choice import (
     OUTCOMES,
     Choice,
@@ -21,9 +21,12 @@ from activefail.surrogate.margin_choice import (
     is_due,
     learned_with,
     level_of,
+    taken,
     usable,
 )
 from activefail.surrogate.margin_data import is_truncated
+from activefail.surrogate.system import AnyLatent, SystemLatent
+from activefail.systems import System
 
 _COMPARED = 200
 """Most simulations on which the models are compared."""
@@ -62,12 +65,14 @@ def train(
         previous = warm.choices[severity - 1] if warm is not None and warm.choices else None
         return _choice(F, outcome, severity, margins, learner, previous)
 
-    def learned(severity: int) -> Latent | CustomLatent | MarginFit:
+    def learned(severity: int) -> Latent | CustomLatent | MarginFit | SystemLatent:
         own = warm is not None and learned_with(warm.choices, severity) == severity
         before = warm.latents[severity - 1] if warm is not None and own else None
         if margins is None or choices[severity - 1].margin == OUTCOMES:
             return learner.learned(F, outcome >= severity, before)
-        margin = margins.values[severity - 1][:, choices[severity - 1].margin]
+        margin = margins.of(severity, choices[severity - 1].margin)
+        if margins.system is not None:
+            return fit_system(F, margin, margins.system, before)
         return fit_defined(F, margin, before.trained if isinstance(before, MarginLatent) else None, learner.repeatable)
 
     # torch and LAPACK release the interpreter's lock, so boundaries train in parallel; a user's model may not.
@@ -96,14 +101,17 @@ def _choice(
     previous: Choice | None,
 ) -> Choice:
     """What a boundary is learned from: as before, unless the models must be compared again."""
-    n, beyond, values = len(F), outcome >= severity, margins.values[severity - 1]
+    n, beyond = len(F), outcome >= severity
+
+    def holds(column: int) -> bool:
+        return column == OUTCOMES or not usable(margins.of(severity, column), beyond, margins.system)
+
     if margins.required:
         column = margins.columns[0]
-        return Choice(OUTCOMES if usable(values[:, column], beyond) else column, n)
-    holds = previous is not None and (previous.margin == OUTCOMES or not usable(values[:, previous.margin], beyond))
-    if previous is not None and holds and not is_due(previous, n, beyond):
+        return Choice(column if holds(column) else OUTCOMES, n)
+    if previous is not None and holds(previous.margin) and not is_due(previous, n, beyond):
         return previous
-    return choose(F, beyond, values, margins.columns, learner)
+    return choose(F, beyond, margins.values[severity - 1], margins.columns, learner, margins.system)
 
 
 def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None, repeatable: bool = True) -> MarginFit:
@@ -112,7 +120,22 @@ def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None, repeatab
     return fit_margin(F, values, has_undefined or is_truncated(values), warm, repeatable)
 
 
-def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequence[int], learner: Learner) -> Choice:
+def fit_system(F: Array, margins: Array, system: System, warm: object = None) -> SystemLatent:
+    """The latent of usable margins, (n, k), of a system at scaled features, (n, m): a mode learns from what it has."""
+    known = ~np.isnan(margins)
+    before = [mode.trained for mode in warm.modes] if isinstance(warm, SystemLatent) else [None] * len(system.names)
+    fits = [fit_defined(F[rows], of[rows], one) for of, rows, one in zip(margins.T, known.T, before, strict=True)]
+    return SystemLatent(tuple(map(MarginLatent, fits)), known, F, system)
+
+
+def choose(
+    F: Array,
+    beyond: NDArray[np.bool_],
+    margins: Array,
+    columns: Sequence[int],
+    learner: Learner,
+    system: System | None = None,
+) -> Choice:
     """Choose by the evidence of the first 200 simulations or fewer.
 
     With all designs on one side a classifier knows nothing, so a usable margin is chosen without a comparison.
@@ -123,19 +146,24 @@ def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequenc
         margins: (n, k) margins of the simulator.
         columns: the margins that may be chosen.
         learner: of latents that are learned from outcomes.
+        system: of the margins, which column 0 then stands for.
     """
     n, one_sided = len(F), bool(beyond.all() or not beyond.any())
-    candidates = [column for column in columns if not usable(margins[:, column], beyond)]
+    candidates = [column for column in columns if not usable(taken(margins, column, system), beyond, system)]
     if not candidates:
         return Choice(OUTCOMES, n, one_sided=one_sided)
     # Evenly spread over the rows, so that both the initial design and the active designs count.
     rows = np.unique(np.linspace(0, n - 1, min(n, _COMPARED)).round().astype(int))
     scores = {}
     for column in candidates:
-        if usable(margins[rows, column], beyond[rows]):
+        margin = taken(margins[rows], column, system)
+        if usable(margin, beyond[rows], system):
             continue
-        fitted = fit_defined(F[rows], margins[rows, column], repeatable=learner.repeatable)
-        scores[column] = outcome_score(MarginLatent(fitted), beyond[rows])
+        if system is not None:
+            latent: AnyLatent = fit_system(F[rows], margin, system)
+        else:
+            latent = MarginLatent(fit_defined(F[rows], margin, repeatable=learner.repeatable))
+        scores[column] = outcome_score(latent, beyond[rows])
     if not scores:
         return Choice(OUTCOMES, n, one_sided=one_sided)
     best = max(scores, key=scores.__getitem__)

@@ -16,7 +16,8 @@ from activefail.reliability.integral import Boundaries
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import AnyLatent, MarginLatent
+from activefail.surrogate.margin_choice import taken
+from activefail.surrogate.system import AnyLatent, ByMargins
 
 
 def is_checked(question: Question, latent: AnyLatent) -> bool:
@@ -25,7 +26,7 @@ def is_checked(question: Question, latent: AnyLatent) -> bool:
     Far from all simulations a classifier of outcomes doubts, and the fresh simulations know that
     (docs/decisions/0017). The rows of a table leave no place where an outcome could hide.
     """
-    return not question.is_own and isinstance(question.space, DesignSpace) and isinstance(latent, MarginLatent)
+    return not question.is_own and isinstance(question.space, DesignSpace) and isinstance(latent, ByMargins)
 
 
 def places_of_check(
@@ -68,7 +69,7 @@ def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: 
         results: of the n designs.
     """
     severity, latent = campaign.simulator.outcomes.index(outcome), classifier.latent(outcome)
-    assert isinstance(latent, MarginLatent)
+    assert isinstance(latent, ByMargins)
     # A design that does not exist hides nothing.
     answered = (results.outcome != NUMERICAL_FAILURE) | is_impossible(
         campaign.simulator, results.outcome, results.cause
@@ -83,7 +84,7 @@ def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: 
 def margin_of(
     campaign: Campaign, classifier: Classifier, severity: int, outcome: NDArray[np.int8], margins: Array
 ) -> Array:
-    """The margins, (n,), that a boundary was learned from, in relation to it.
+    """The margin, (n,), or those of a system, (n, k), that a boundary was learned from, in relation to it.
 
     Args:
         campaign: the campaign.
@@ -93,4 +94,4 @@ def margin_of(
         margins: (n, k) as the simulator reported them.
     """
     related = campaign.margins_at(severity, outcome, margins)
-    return np.asarray(related[:, classifier.choices[severity - 1].margin])
+    return taken(related, classifier.choices[severity - 1].margin, campaign.system)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.random_streams import stream
@@ -39,12 +40,13 @@ from activefail.reliability.integral import (
     existence,
     integrate,
 )
+from activefail.reliability.modes import FreshModes, Sides, corrected_modes, counted_modes, doubt_of_modes
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.system import ByMargins, SystemLatent
 from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
 from activefail.verification.stored_sets import (
     estimate_sizes,
@@ -113,6 +115,7 @@ class Sampled:
         exists: which designs exist; None if all do.
         severer: the same simulations for the more severe outcomes; empty if others answer for these.
         lost: as of the estimate.
+        modes: what the simulations say of the modes of a system; None if the campaign has none.
         repeatable: whether equal designs have equal results; otherwise noise explains outcomes that are not improbable.
     """
 
@@ -125,6 +128,7 @@ class Sampled:
     exists: Existing | None = None
     severer: "tuple[Sampled, ...]" = ()
     lost: tuple[float, float] | None = None
+    modes: FreshModes | None = None
     repeatable: bool = True
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
@@ -132,7 +136,8 @@ class Sampled:
         estimates = [one._of_outcome(confidence) for one in (self, *self.severer)]
         largest = {name: max(getattr(one, name) for one in estimates) for name in ("probability", "low", "high")}
         wrong = estimates[0].wrong if self.repeatable else estimates[0].surprising
-        return replace(estimates[0], lost=self.lost, wrong=wrong, **largest)
+        modes = () if self.modes is None else self.modes.shares(confidence)
+        return replace(estimates[0], lost=self.lost, wrong=wrong, modes=modes, **largest)
 
     def _of_outcome(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
@@ -293,18 +298,33 @@ class Estimator:
 
         def sampled_of(number: int, plan: AnyPlan) -> Sampled:
             latent = self.classifier.latents[number - 1]
-            if isinstance(plan, Plan) and isinstance(latent, MarginLatent):
+            if isinstance(plan, Plan) and isinstance(latent, ByMargins):
                 margin = margin_of(self.campaign, self.classifier, number, results.outcome, results.margins)
                 plan = plan.deviating(deviation_of_margins(latent, self.campaign.features, X, margin))
             return Sampled(plan, (results.outcome >= number)[draws], answered[draws], first, error, exists=exists)
 
         sampled, *severer = (sampled_of(number, plan) for number, plan in enumerate(plans, start=severity))
         lost = None if classifier.unknown is None else self._lost(classifier, outcome, question)
-        sampled = replace(sampled, severer=tuple(severer), lost=lost, repeatable=repeatable)
+        modes = None if self.campaign.system is None else self._modes(sampled, results, draws, question)
+        sampled = replace(sampled, severer=tuple(severer), lost=lost, modes=modes, repeatable=repeatable)
         if not (checks and is_checked(question, self.classifier.latent(outcome))):
             return sampled
         name = set_name("check", question.digest[:16], severity, *kept)
         return replace(sampled, check=self._check(sampled, X, outcome, question, name, results_of))
+
+    def _modes(self, sampled: Sampled, results: Results, draws: NDArray[np.int_], question: Question) -> FreshModes:
+        """What the simulations of a sample, (m,) of the draws, say of the modes of the campaign's system."""
+        latent, system, plan = self.classifier.latents[0], self.campaign.system, sampled.plan
+        assert system is not None
+        margins = np.where(sampled.answered[:, None], results.margins[draws], np.nan)
+        if not (isinstance(plan, Plan) and isinstance(latent, SystemLatent)):
+            return counted_modes(system, plan.ratio, margins)
+        rng = stream(self.campaign.settings.seed, "modes", _DRAWS * self.iteration + question.draw)
+        return corrected_modes(system, plan, margins, self._sides(latent, question), question.space, rng)
+
+    def _sides(self, latent: SystemLatent, question: Question) -> Sides:
+        """The probits that each mode has failed, of values of a question's variables."""
+        return lambda X: latent.sides(finite(self.campaign.features, question.designs(X)))
 
     def _with_unknown(self, X: Array, lost: NDArray[np.bool_]) -> Classifier:
         """The classifier that knows where runs are lost, if only fresh simulations, (n, d), have shown that any are."""
@@ -361,7 +381,7 @@ class Estimator:
         They do under the campaign's own distribution, where runs are lost, and where boundaries are learned from
         margins: unlike outcomes, margins show how far from a boundary a design is.
         """
-        by_margins = all(isinstance(latent, MarginLatent) for latent in self.classifier.latents)
+        by_margins = all(isinstance(latent, ByMargins) for latent in self.classifier.latents)
         return question.is_own or self.classifier.unknown is not None or by_margins
 
     def _number(self, outcome: str, question: Question) -> int:
@@ -386,12 +406,19 @@ class Estimator:
         severity, learned = self.classifier.outcomes.index(outcome), boundaries("learned")
         if self._is_shared(question):
             ends = [] if self.classifier.unknown is None else [boundaries("none"), boundaries("all")]
-            return plan_estimates([learned, *ends], rows, simulations, rng)[severity - 1 :]
+            latent = self.classifier.latents[0]
+
+            def of_modes(X: Array) -> Array:
+                assert isinstance(latent, SystemLatent)
+                return doubt_of_modes(latent.system, self._sides(latent, question)(X))
+
+            beside = of_modes if isinstance(latent, SystemLatent) else None
+            return plan_estimates([learned, *ends], rows, simulations, rng, beside)[severity - 1 :]
 
         def standardised(X: Array) -> Array:
             return learned(X)[:, severity - 1]
 
-        in_strata = not isinstance(self.classifier.latent(outcome), MarginLatent)
+        in_strata = not isinstance(self.classifier.latent(outcome), ByMargins)
         if in_strata and (plan := plan_strata(standardised, rows, simulations, rng)) is not None:
             return [plan]
         share = baseline(standardised, rows)

@@ -165,6 +165,42 @@ BROKEN = [
     ),
     ('[space]\nx = { low = 1, high = 2, "a range" = 3 }\n', 'space.x."a range": unknown key'),
     (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g, i)" }',
+        "simulator.system: must name margins among g, h, got 'i' in 'min(g, i)'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "g + h" }',
+        "simulator.system: must be min(...) or max(...) of two margins or more, which may be nested, got 'g + h'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g)" }',
+        "simulator.system: must be min(...) or max(...) of two margins or more, which may be nested, got 'min(g)'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "g" }',
+        "simulator.system: must be min(...) or max(...) of two margins or more, which may be nested, got 'g'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h", "i"], system = "max(g, h)" }',
+        "simulator.system: must contain every margin, but 'i' is not in 'max(g, h)'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g, h)", outcomes = ["a", "b", "c"] }',
+        "simulator.system: requires two outcomes",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g, h)", levels = { g = [1.0] } }',
+        "simulator.system: cannot be combined with levels",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g, h)", truncated = ["g"] }',
+        "simulator.system: cannot be combined with truncated",
+    ),
+    (
+        'simulator = { python = "a:b", margins = ["g", "h"], system = "min(g, h)", repeatable = false }',
+        "simulator.repeatable: must be true with simulator.system",
+    ),
+    (
         'simulator = { python = "a:b", margins = ["g"], levels = { h = [0.1] } }',
         "simulator.levels: must name one of simulator.margins (g), got 'h'",
     ),

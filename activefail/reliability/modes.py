@@ -1,0 +1,190 @@
+"""The shares that the modes of a system have in its failures, from fresh simulations, the classifier frozen.
+
+A simulation gives the margins of all modes. Where each has a regression, this predicts the shares, and the simulations
+correct the prediction, as in `estimate`. Otherwise the simulations are counted by their weights.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from activefail.acquisition.by_margin import LEAST
+from activefail.acquisition.population import Population, around, first_parents, next_parents, population
+from activefail.reliability.estimate import WIDER, Interval, ModeShare, Plan, variance_of
+from activefail.space import Array, DesignSpace
+from activefail.systems import System
+from activefail.weighted import WeightedRows
+
+Sides = Callable[[Array], Array]
+"""Values of a distribution's variables, (n, d) -> the probits that each mode has failed, (n, k)."""
+
+
+_POPULATION, _PARENTS, _ROUNDS = 16_384, 200, 12
+"""Designs of a population that integrates the regressions, their parents, and the populations."""
+
+
+class Events(NamedTuple):
+    """Of n designs: whether, or how probably, the system has failed, (n,), and two events for each mode, (n, k)."""
+
+    system: Array
+    failed: Array
+    decisive: Array
+
+    @classmethod
+    def of(cls, system: System, margins: Array) -> "Events":
+        """The events that margins, (n, k), say."""
+        fails = system(margins) <= 0.0
+        without = np.column_stack([system(one) <= 0.0 for one in _each(margins, np.inf)])
+        return cls(*(of.astype(float) for of in (fails, fails[:, None] & (margins <= 0.0), fails[:, None] & ~without)))
+
+    @classmethod
+    def expected(cls, system: System, z: Array) -> "Events":
+        """The probabilities of the events, of the probits that each mode has failed, (n, k)."""
+        fails = ndtr(system.probit(z))
+        given, without = (
+            np.column_stack([ndtr(system.probit(one)) for one in _each(z, end)]) for end in (np.inf, -np.inf)
+        )
+        return cls(fails, ndtr(z) * given, np.maximum(fails[:, None] - without, 0.0))
+
+
+def _each(values: Array, end: float) -> Iterator[Array]:
+    """The values of modes, (n, k), with another one of them at an end each time."""
+    for mode in range(values.shape[1]):
+        yield np.where(np.arange(values.shape[1]) == mode, end, values)
+
+
+@dataclass(frozen=True, eq=False)
+class FreshModes:
+    """What m fresh simulations say of the modes, and what was expected.
+
+    Attributes:
+        system: of the modes.
+        ratio: (m,) density of the distribution over that of the draws.
+        seen: the events of the draws; as predicted where a draw does not show them.
+        predicted: their probabilities by the regressions; 0 without them.
+        whole: those of the distribution, by each of some populations, first axis; none without regressions.
+        doubted: probabilities of the events, in doubt, at designs that might have been drawn.
+        square: the mean square of `ratio` that each of these adds.
+    """
+
+    system: System
+    ratio: Array
+    seen: Events
+    predicted: Events
+    whole: Events
+    doubted: Events
+    square: Array
+
+    def shares(self, confidence: float) -> tuple[ModeShare, ...]:
+        """Of each mode, with intervals of this confidence; none if no failure is known."""
+        middle = self._estimated(0)
+        if not middle > 0.0:
+            return ()
+        names = self.system.names
+        failed, decisive = (
+            [self._share(event, mode, float(middle), confidence) for mode in range(len(names))] for event in (1, 2)
+        )
+        return tuple(map(ModeShare, names, failed, decisive))
+
+    def _estimated(self, event: int) -> Array:
+        """The probability of an event, (), or (k,) of one of each mode."""
+        whole = self.whole[event]
+        return np.asarray(
+            whole.sum(axis=0) / max(1, len(whole))
+            + self.ratio @ (self.seen[event] - self.predicted[event]) / len(self.ratio)
+        )
+
+    def _share(self, event: int, mode: int, of: float, confidence: float) -> Interval:
+        """The share of the probability `of` where an event of a mode occurs, a ratio of two corrected estimates."""
+        from scipy.stats import t
+
+        share, m = min(1.0, max(0.0, float(self._estimated(event)[mode]) / of)), len(self.ratio)
+
+        def linear(events: Events) -> Array:
+            """Its mean is 0 if the share is right."""
+            return np.asarray(events[event][:, mode] - share * events.system)
+
+        corrections = self.ratio * (linear(self.seen) - linear(self.predicted))
+        # (1 − s) with the event, −s in other failures.
+        mean_square = self.doubted[event][:, mode] * (1.0 - 2.0 * share) + share**2 * self.doubted.system
+        doubt = self.square @ np.maximum(mean_square - linear(self.doubted) ** 2, 0.0)
+        variance = variance_of(corrections, float(doubt)) / m
+        if len(self.whole.system) > 1:
+            variance += float(linear(self.whole).var(ddof=1)) / len(self.whole.system)
+        half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * math.sqrt(variance) / of
+        return share, max(0.0, share - half), min(1.0, share + half)
+
+
+def doubt_of_modes(system: System, z: Array) -> Array:
+    """The largest standard deviation of an event of a mode where the system fails, (n,), of probits, (n, k)."""
+    fails, *events = Events.expected(system, z / WIDER)
+    q = np.concatenate(events, axis=1) / np.maximum(fails, LEAST)[:, None]
+    return np.asarray(np.sqrt(fails * np.maximum(q * (1.0 - q), 0.0).max(axis=1)))
+
+
+def counted_modes(system: System, ratio: Array, margins: Array) -> FreshModes:
+    """What fresh simulations say of the modes, without regressions.
+
+    Args:
+        system: of the modes.
+        ratio: (m,) density of the distribution over that of the draws.
+        margins: (m, k) of the draws; NaN where one is not known.
+    """
+    seen = Events.of(system, np.where(np.isnan(margins), np.inf, margins))
+    nothing, nowhere = Events(*(np.zeros_like(of) for of in seen)), Events(*(of[:0] for of in seen))
+    # Of a share nothing is known before.
+    likely = ((of.sum(axis=0) + 1.0) / (seen.system.sum() + 2.0) for of in seen[1:])
+    doubted = Events(seen.system, *(seen.system[:, None] * share for share in likely))
+    return FreshModes(system, ratio, seen, nothing, nowhere, doubted, ratio**2 / len(ratio))
+
+
+def corrected_modes(
+    system: System,
+    plan: Plan,
+    margins: Array,
+    sides: Sides,
+    space: DesignSpace | WeightedRows,
+    rng: np.random.Generator,
+) -> FreshModes:
+    """What fresh simulations say of the modes, beyond what their regressions predict.
+
+    Args:
+        system: of the modes.
+        plan: of the draws, after the fresh margins.
+        margins: (m, k) of the draws; NaN where one is not known.
+        sides: by the regressions.
+        space: the distribution.
+        rng: draws a sample of it.
+    """
+    z = sides(plan.designs)
+    seen = Events.of(system, np.where(np.isnan(margins), -z, margins))
+    assert plan.drawn_from is not None
+    X, square = plan.drawn_from
+    doubted = Events.expected(system, sides(X) / (WIDER * plan.deviation))
+    predicted, whole = Events.expected(system, z), _integrated(system, sides, space, rng)
+    return FreshModes(system, plan.ratio, seen, predicted, whole, doubted, square)
+
+
+def _integrated(system: System, sides: Sides, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Events:
+    """The probabilities of the events by regressions, by each of some populations: (p,), and (p, k) twice."""
+
+    if isinstance(space, WeightedRows):
+        drawn = population(space, _POPULATION, None, rng)
+        return Events(*(_mean(drawn, of)[None] for of in Events.expected(system, sides(drawn.X))))
+    parents = first_parents(space, _POPULATION, _PARENTS, lambda X: ndtr(system.probit(sides(X))), rng)
+    rounds = []
+    for _ in range(_ROUNDS):
+        drawn = around(space, _POPULATION, parents, rng)
+        events = Events.expected(system, sides(drawn.X))
+        rounds.append([_mean(drawn, of) for of in events])
+        parents = next_parents(drawn, _PARENTS, events.system, rng)
+    return Events(*map(np.array, zip(*rounds, strict=True)))
+
+
+def _mean(drawn: Population, values: Array) -> Array:
+    """The mean over the distribution of values at a population, (n, ...)."""
+    return np.asarray(drawn.weight @ values / len(drawn.weight))
