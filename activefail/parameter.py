@@ -168,6 +168,8 @@ class Parameter:
         step: distance of the values, in the unit; None if the variable is continuous.
         choices: texts or numbers; empty for other variables.
         probabilities: of the choices.
+        groups: of each choice, what it belongs to: the event of a record. Choices of one group are not independent
+            samples of their kind. None if the choices are no sample.
 
     Raises:
         InputError: if the name is not an identifier or the numbers do not define a distribution.
@@ -183,6 +185,7 @@ class Parameter:
     step: float | None = field(default=None, repr=False)  # questions are identified by what is shown of variables
     choices: tuple[Choice, ...] = field(default=(), repr=False)
     probabilities: tuple[float, ...] = field(default=(), repr=False)
+    groups: tuple[str, ...] | None = field(default=None, repr=False)
 
     @classmethod
     def of_choices(
