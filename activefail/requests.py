@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from activefail.risk.ida.simulations import Values
     from activefail.risk.sensitivity.findings import SensitivityFindings
     from activefail.run import Run
+    from activefail.stripes.findings import StripeFindings
+    from activefail.stripes.stripe import Stripes
     from activefail.verification.probability_estimator import Estimator
 
 SIMULATIONS = "Fresh simulations, outside the budget"
@@ -92,9 +94,20 @@ EXECUTOR = Option(
 )
 SCHEDULER = Option("Address of the Dask cluster, such as tcp://head:8786.", str, metavar="ADDRESS")
 FIXED = Option(
-    "TOML file with values of variables, such as T_b = 4.0; in Python also values by name.",
+    "Values of variables, such as T_b=4.0,mu=0.05, or a TOML file with them; in Python also values by name.",
     Path,
     names=("--fixed", "--bearing"),
+)
+
+WRONG = Option(
+    "Where the variables without a value have finitely many values: simulate the doubtful ones until so large a share "
+    "is expected to be predicted wrongly, such as 0.01 (docs/stripes.md).",
+    float,
+    low=0.0,
+    high=0.5,
+)
+AT_ONCE = Option(
+    "With --wrong: values that are simulated at a time, before the classifier learns again.", int, low=1, default=3
 )
 
 
@@ -140,11 +153,12 @@ class VerifyRequest(Request["ErrorFindings | SurfaceFindings"]):
 
 
 @dataclass(frozen=True)
-class ProbabilityRequest(Request["ProbabilityFindings"]):
+class ProbabilityRequest(Request["ProbabilityFindings | StripeFindings"]):
     """Estimate the probability of an outcome, with an interval.
 
     The estimate combines the campaign's classifier with fresh simulations. The probability is that of the outcome or a
-    more severe one.
+    more severe one. With --wrong the doubtful ones of finitely many values are simulated, and the campaign learns from
+    them.
     """
 
     simulations: int = option(50, f"{SIMULATIONS}; a question may add a mode check.", low=10, high=1_000_000)
@@ -155,14 +169,21 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
         None, "Hazard file; the distribution is that of its pulses (docs/hazard.md).", Path
     )
     fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
-    def answer(self, run: "Run") -> "ProbabilityFindings":
+    def answer(self, run: "Run") -> "ProbabilityFindings | StripeFindings":
         from activefail.campaign.inquiry import Inquiry
         from activefail.findings.estimates import ProbabilityFindings
         from activefail.findings.status import estimate_of
+        from activefail.stripes.findings import StripeFindings
 
         outcome = run._boundary_named(self.outcome)
         asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed).question
+        if self.wrong is not None:
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                stripe = stripes.ask(asked, outcome, self.wrong)
+            return StripeFindings.of(run.campaign, stripe, self.confidence)
         with estimating(run, self.executor, self.stage) as estimator:
             sample = estimator.sample(outcome, self.simulations, asked, checks=True)
             findings = ProbabilityFindings.of(
@@ -610,3 +631,18 @@ def estimating(
     with nullcontext(executor) if executor or not simulates else run._shown_executor() as pool, one_thread():
         learned, last = run.learn(stage), run.history.last_iteration
         yield Estimator(run.campaign, run.store, pool, learned.classifier, last)
+
+
+@contextmanager
+def asking_stripes(run: "Run", at_once: int, executor: "Executor | None", stage: Stage) -> "Iterator[Stripes]":
+    """What asks over finitely many values; their simulations join the record.
+
+    Raises:
+        InputError: if the initial design is not finished.
+    """
+    from activefail.stripes.stripe import Stripes
+
+    run._check_initial_design()
+    with nullcontext(executor) if executor else run._shown_executor() as pool, run._turn, one_thread():
+        yield Stripes(run.campaign, run.store, pool, lambda: run.learn(stage).classifier, at_once, stage)
+        run._predicts = None

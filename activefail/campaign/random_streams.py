@@ -15,6 +15,7 @@ STREAMS = {
     "ask": 10,
     "draw": 11,
     "hidden": 12,
+    "stripe": 13,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 
