@@ -87,13 +87,13 @@ class StripeFindings:
             ("from", f"{simulated} simulated ({stripe.new} now) and {predicted} predicted{lost}"),
             (
                 "wrong",
-                f"{percent(stripe.expected_wrong, 2)} expected among the predicted, by the classifier's own doubt; "
-                f"at most {percent(stripe.wrong, 2)} was asked for",
+                f"{percent(stripe.expected_wrong, 2)} expected to be predicted wrongly, of which "
+                f"{percent(stripe.doubted, 2)} by the classifier's own doubt; asked for: {percent(stripe.wrong, 2)}",
             ),
             (
                 "check",
-                f"{checked.simulated} of the predicted were simulated too, at random: {checked.wrong} wrong. Without the "
-                f"classifier's word, at most {stripe.most_wrong} of the {predicted} may be ({100 * OF_BOUND:g} %)",
+                f"{checked.simulated} random predictions were simulated too, {checked.wrong} wrong; they alone show "
+                f"that at most {stripe.most_wrong} of the {predicted} predicted are wrong ({100 * OF_BOUND:g} %)",
             ),
             ("campaign", f"{stripe.learned} simulations, these among them"),
             *(("note", sentence) for sentence in self.assumptions),
@@ -111,10 +111,7 @@ class StripeFindings:
                 "results with `activefail tell`, or drop them; then ask again."
             )
         if stripe.checked.wrong:
-            sentences.append(
-                "The check contradicted the classifier, so a larger check followed. The interval of these values "
-                "counts both."
-            )
+            sentences.append("The check contradicted the classifier, so more values were simulated.")
         return [*sentences, *self.of_question]
 
     def as_json(self) -> dict[str, Any]:
@@ -137,6 +134,7 @@ class StripeFindings:
                     "predicted": int(stripe.predicted.sum()),
                     "wrong": stripe.wrong,
                     "expected_wrong": stripe.expected_wrong,
+                    "doubted": stripe.doubted,
                     "check": {
                         "simulations": stripe.checked.simulated,
                         "wrong": stripe.checked.wrong,

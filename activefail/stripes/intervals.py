@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from activefail.space import Array
 
 _PRIOR = (0.25, 24.75)
-"""Beta prior of the share of predictions that are wrong although the classifier is sure of them: 1 % on average, and
-more than 5 % for one classifier in sixteen. `studies/stripes.py` measures the intervals that follow."""
+"""Beta prior of the share θ of predictions that are wrong although the classifier is sure of them: 1 % on average, and
+more than 5 % for one question in twenty. `studies/stripes.py` measures this share, and the intervals that follow."""
 
 _DRAWS = 4000
 """Draws of the number of wrong predictions, always the same random numbers."""
@@ -30,6 +30,13 @@ class Checked(NamedTuple):
 
     simulated: int
     wrong: int
+
+
+def expected_wrong(doubt: Array, weight: Array, checked: Checked) -> float:
+    """Expected probability of the values that are predicted wrongly (see `deviations`)."""
+    a, b = _PRIOR
+    theta = (a + checked.wrong) / (a + b + checked.simulated)
+    return float(weight @ np.where(doubt > 0.0, doubt + (1.0 - 2.0 * doubt) * theta, 0.0))
 
 
 def deviations(beyond: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked) -> Array:

@@ -30,7 +30,15 @@ from activefail.record.store import Store
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE, is_impossible
 from activefail.space import Array
-from activefail.stripes.intervals import Checked, Interval, deviations, most_wrong, of_others, of_these
+from activefail.stripes.intervals import (
+    Checked,
+    Interval,
+    deviations,
+    expected_wrong,
+    most_wrong,
+    of_others,
+    of_these,
+)
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import probability_wrong
 from activefail.verification.stored_sets import first_fault_text
@@ -92,9 +100,14 @@ class Stripe:
         return float(self.values.weight @ self.beyond)
 
     @property
-    def expected_wrong(self) -> float:
+    def doubted(self) -> float:
         """Expected probability of the values that are predicted wrongly, by the classifier's own doubt."""
         return float(self.values.weight @ self.doubt)
+
+    @property
+    def expected_wrong(self) -> float:
+        """The same, with mistakes of which the classifier is sure, as the check bears them out."""
+        return expected_wrong(self.doubt, self.values.weight, self.checked)
 
     @cached_property
     def predicted(self) -> NDArray[np.bool_]:
@@ -107,28 +120,18 @@ class Stripe:
         return np.asarray(self.known[rows] & (self.beyond[rows] != np.array(one.beyond)))
 
     @property
-    def checks(self) -> list[Round]:
-        """The rounds of random predictions."""
-        return [one for one in self.rounds if one.predicted]
-
-    @property
     def checked(self) -> Checked:
-        """All checks of this question; earlier ones are of earlier classifiers."""
-        return self._counted(self.checks)
+        """What the check found."""
+        return self._counted([one for one in self.rounds if one.predicted])
 
     def _counted(self, checks: list[Round]) -> Checked:
         answered = sum(int(self.known[one.rows].sum()) for one in checks)
         return Checked(answered, sum(int(self.is_wrong(one).sum()) for one in checks))
 
     @property
-    def is_checked(self) -> bool:
-        """Whether the last check found nothing wrong."""
-        return bool(self.checks) and not self.is_wrong(self.checks[-1]).any()
-
-    @property
     def most_wrong(self) -> int:
-        """A bound on the number of wrong predictions without the classifier's word, from the last check alone."""
-        return most_wrong(int(self.predicted.sum()), self._counted(self.checks[-1:]), OF_BOUND)
+        """A bound on the number of wrong predictions without the classifier's word, from the check alone."""
+        return most_wrong(int(self.predicted.sum()), self.checked, OF_BOUND)
 
     @cached_property
     def _drawn(self) -> Array:
@@ -171,8 +174,8 @@ class Stripes:
     def ask(self, question: Question, outcome: str, wrong: float) -> Stripe:
         """Simulate values until the expected probability of wrongly predicted ones is small, and a check agrees.
 
-        The most doubtful values come first. Then some of the remaining predictions, at random, are simulated as a
-        check. Each check that finds a wrong one makes the next twice as large.
+        The most doubtful values come first. Once the classifier's own doubt is small, some of the remaining
+        predictions, at random, are simulated as a check. The more of them are wrong, the more values are simulated.
 
         Args:
             question: with finitely many values.
@@ -239,22 +242,23 @@ class Stripes:
     def _chosen(self, stripe: Stripe, is_open: NDArray[np.bool_], order: NDArray[np.intp]) -> Round:
         """The next values to simulate; none if the question is answered."""
         rows: list[int] = []
-        predicted, open_doubt = 0, np.where(is_open, stripe.values.weight * stripe.doubt, 0.0)
-        if stripe.expected_wrong > stripe.wrong:
-            doubtful = np.argsort(-open_doubt, kind="stable")[: self.at_once]
-            rows = doubtful[is_open[doubtful]].tolist()
-        elif not stripe.is_checked:
+        checked, predicted = any(one.predicted for one in stripe.rounds), 0
+        if not checked and stripe.doubted <= stripe.wrong:
             predicted = int(is_open.sum())
-            failed = sum(bool(stripe.is_wrong(one).any()) for one in stripe.checks)
-            size = max(_LEAST_CHECKED, math.ceil(_CHECKED * predicted)) * 2**failed
+            size = max(_LEAST_CHECKED, math.ceil(_CHECKED * predicted))
             rows = order[is_open[order]][:size].tolist()
+        elif stripe.expected_wrong > stripe.wrong:
+            doubtful = np.argsort(-np.where(is_open, stripe.values.weight * stripe.doubt, -1.0), kind="stable")
+            rows = doubtful[is_open[doubtful]][: self.at_once].tolist()
         return Round(rows, stripe.beyond[rows].tolist(), predicted)
 
     def _simulate(self, stripe: Stripe, rows: NDArray[np.intp]) -> None:
         """Simulate values and record the results."""
         X = stripe.values.X[rows]
-        names, expected = ", ".join(stripe.values.names), percent(stripe.expected_wrong)
-        self.stage(f"simulating {len(X)} of {len(stripe.values)} values of {names}; {expected} expected wrong")
+        self.stage(
+            f"simulating {len(X)} of {len(stripe.values)} values of {', '.join(stripe.values.names)}; "
+            f"{percent(stripe.expected_wrong)} expected to be predicted wrongly"
+        )
         results = self.executor.run(self.campaign.simulator, X)
         if (results.outcome == NUMERICAL_FAILURE).all() and not is_impossible(
             self.campaign.simulator, results.outcome, results.cause
