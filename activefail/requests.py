@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from activefail.execution.executor import Executor
     from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
     from activefail.report.evidence import ReportFindings
+    from activefail.risk.design.by_stripes import DesignByStripes
     from activefail.risk.design.findings import DesignFindings
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
@@ -255,7 +256,7 @@ class FragilityRequest(Request["FragilityFindings"]):
 
 
 @dataclass(frozen=True)
-class DesignRequest(Request["DesignFindings"]):
+class DesignRequest(Request["DesignFindings | DesignByStripes"]):
     """Find and verify the smallest design that meets a target.
 
     The target is a probability of an outcome, such as failure. Free variables stay within the campaign's ranges; the
@@ -283,10 +284,14 @@ class DesignRequest(Request["DesignFindings"]):
         1000, "Maximum number of fresh simulations for each target; not part of the budget.", low=10, high=1_000_000
     )
     chart: bool = option(False, "Compute the chart of required values, with --out.", with_out=True)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
-    pages: ClassVar = "Folder for the page design.html, its pictures, and design.json and design.toml."
+    pages: ClassVar = (
+        "Folder for the page design.html, its pictures, and design.json and design.toml; with --wrong the last two."
+    )
 
-    def answer(self, run: "Run") -> "DesignFindings":
+    def answer(self, run: "Run") -> "DesignFindings | DesignByStripes":
         from activefail.campaign.inquiry import Inquiry
         from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
         from activefail.risk.design.findings import DesignFindings
@@ -302,6 +307,11 @@ class DesignRequest(Request["DesignFindings"]):
             site, requirements, rate = at_risk(asked.hazard, requirements)
             asked = Inquiry.of_hazard(campaign, site, asked.fixed, free)
         task = design_task(asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
+        if self.wrong is not None:
+            from activefail.risk.design.by_stripes import design_by_stripes
+
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                return design_by_stripes(stripes, task, self.wrong)
         with estimating(run, self.executor, self.stage) as estimator:
             designed = find_design(estimator, task, self.stage)
             findings = DesignFindings.of(estimator, designed, self.chart, self.stage)
@@ -309,10 +319,10 @@ class DesignRequest(Request["DesignFindings"]):
             remember_design(run.store, designed)
         return findings
 
-    def write_pages(self, findings: "DesignFindings", run: "Run", out: Path) -> list[Path]:
+    def write_pages(self, findings: "DesignFindings | DesignByStripes", run: "Run", out: Path) -> list[Path]:
         from activefail.report.analyses import write_design
 
-        return write_design(findings, out)
+        return write_design(findings, run.campaign, out)
 
 
 @dataclass(frozen=True)

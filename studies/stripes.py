@@ -1,11 +1,15 @@
 """What a probability over finitely many values costs, how wrong it is, and how often its intervals hold.
 
     python studies/stripes.py --part questions --seeds 3
+    python studies/stripes.py --part designs --seeds 3
     python studies/stripes.py --part intervals --repetitions 40
     python studies/stripes.py --part halves --repetitions 300
 
 `questions`: a bearing under the 44 far-field records of FEMA P695 (needs `activefail[records]`). After a campaign, one
 design after another at one peak ground velocity is asked for with `--wrong`; the truth is the result of all records.
+
+`designs`: the same campaign; `design --wrong` for the smallest D_tot of three bearings, for 10 % and then 2.5 %. A result
+is right if it meets the target under all records, and the next smaller value does not.
 
 `intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
 population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each
@@ -25,10 +29,13 @@ from scipy.special import ndtr
 from study import asked, head, in_memory, line, percent, spread
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import asked_of
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.learning import current
+from activefail.risk.design.by_stripes import STEPS, design_by_stripes
+from activefail.risk.design.design_task import Requirement, design_task
 from activefail.simulators.interface import Results
 from activefail.stripes.intervals import of_others
 from activefail.stripes.stripe import Stripes
@@ -175,6 +182,31 @@ def questions(options):
         line(options.runs, wrong, number + 1, spread(runs, 0), means[0], spread(errors, 1), means[1], held, 44)
 
 
+def designs(options):
+    """Runs and results of one design after another."""
+    grid = np.linspace(RECORDS["D_tot"]["low"], RECORDS["D_tot"]["high"], STEPS + 1)
+    head("seed", "T_b [s]", "mu", "target", "D_tot [m]", "stripes", "runs", "all records", "right")
+    for seed in range(options.seeds):
+        of_records = {"python": "stripes:features", "variables": False}
+        found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+        with ThreadExecutor(1) as executor, one_thread():
+            asks = asking(found, executor)
+            for T_b, mu in ((3.5, 0.06), (4.5, 0.08), (3.0, 0.1)):
+                for target in (0.1, 0.025):
+                    fixed = {"T_b": T_b, "mu": mu, "PGV": options.velocity}
+                    inquiry = Inquiry.of(found.campaign, fixed=fixed, free=["D_tot"])
+                    task = design_task(inquiry, (Requirement("failure", target),))
+                    result = design_by_stripes(asks, task, options.wrong[0])
+                    place, right = result.place, True
+                    for k, meets in ((place, result.meets), (place - 1, False)):
+                        if k >= 0 and (k == place or result.meets):
+                            X = [[T_b, mu, grid[k], record, options.velocity] for record in range(44)]
+                            right &= bool(bearing_fails(np.array(X)).mean() <= target + ROUNDING) == meets
+                    at = f"{grid[place]:.2f}" if result.meets else f"> {grid[-1]:.2f}"
+                    count = len(result.stripes)
+                    line(seed, T_b, mu, target, at, count, result.simulations, 44 * count, "yes" if right else "no")
+
+
 MADE_UP = {
     "x": {"low": -1.0, "high": 2.5},
     "y": {"low": 0.0, "high": 2.0},
@@ -281,7 +313,8 @@ if __name__ == "__main__":
         runs=60,
         questions=6,
         pgv=1.6,
+        velocity=1.2,
         wrong=[0.01],
         hidden=[0.0, 0.3],
     )
-    {"questions": questions, "intervals": intervals, "halves": halves}[options.part](options)
+    {"questions": questions, "designs": designs, "intervals": intervals, "halves": halves}[options.part](options)

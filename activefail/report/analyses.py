@@ -15,6 +15,7 @@ from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import by_name, custom_quantity, plain, quantity
 from activefail.json_text import json_text
 from activefail.report.environment import markdown_environment, page_environment
+from activefail.risk.design.by_stripes import DesignByStripes
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
@@ -100,22 +101,23 @@ def _rows(titled: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
     return rows
 
 
-def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
+def write_design(findings: DesignFindings | DesignByStripes, campaign: Campaign, folder: Path) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
     figures = {}
-    if findings.chart is not None:
-        figures["required"] = plot_required(findings.chart, by_name(findings.campaign), marks_of(findings))
     texts = {
-        "design.html": render_design(findings, figures.get("required")),
         "design.json": json_text(findings.as_json()) + "\n",
-        "design.toml": _values_text(findings),
+        "design.toml": _values_text(findings, campaign),
     }
+    if isinstance(findings, DesignFindings):
+        if findings.chart is not None:
+            figures["required"] = plot_required(findings.chart, by_name(campaign), marks_of(findings))
+        texts = {"design.html": render_design(findings, figures.get("required")), **texts}
     return write_folder(folder, texts, figures)
 
 
-def _values_text(findings: DesignFindings) -> str:
+def _values_text(findings: DesignFindings | DesignByStripes, campaign: Campaign) -> str:
     """The design as TOML, for --fixed of other commands."""
-    units = {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    units = {parameter.name: parameter.unit for parameter in campaign.space.parameters}
     lines = [f"# {findings.verdict}"]
     for name, value in findings.bearing.items():
         unit = f"  # {units[name]}" if units.get(name) else ""

@@ -37,7 +37,7 @@ simulator = {{ python = "mine:plane" }}
 seed = 2
 [space]
 x = {{ low = 0.0, high = 4.0 }}
-y = {{ low = 0.0, high = 1.0 }}
+y = {{ low = 0.0, high = 2.0 }}
 record = {{ choices = {list(range(VALUES))} }}
 [classifier]
 features = {{ expressions = {{ a = "x", b = "y", c = "sin(1.7 * record + 0.4)" }}, variables = false }}
@@ -50,13 +50,13 @@ CODE = """
 import math
 
 def plane(design):
-    fails = design["x"] + 1.3 * math.sin(1.7 * design["record"] + 0.4) + 0.2 * design["y"] >= 2.2
+    fails = design["x"] + 1.3 * math.sin(1.7 * design["record"] + 0.4) - 0.8 * design["y"] >= 1.7
     return "failure" if fails else "safe"
 """
 
 
 def fails(X: Array) -> np.ndarray:
-    return np.asarray(X[:, 0] + 1.3 * np.sin(1.7 * X[:, 2] + 0.4) + 0.2 * X[:, 1] >= 2.2)
+    return np.asarray(X[:, 0] + 1.3 * np.sin(1.7 * X[:, 2] + 0.4) - 0.8 * X[:, 1] >= 1.7)
 
 
 class Plane:
@@ -119,8 +119,8 @@ def ran(simulator: Plane | None = None) -> Ran:
     return Ran(campaign, store)
 
 
-def truth(x: float) -> float:
-    X = np.column_stack([np.full(VALUES, x), np.full(VALUES, 0.5), np.arange(VALUES)])
+def truth(x: float, y: float = 0.5) -> float:
+    X = np.column_stack([np.full(VALUES, x), np.full(VALUES, y), np.arange(VALUES)])
     return float(fails(X).mean())
 
 
@@ -154,7 +154,7 @@ def test_only_finitely_many_independent_values_are_enumerated() -> None:
     for space, rule in (
         (DesignSpace((x, one)), "x is continuous. Give it values, such as --fixed x=2, or leave --wrong out"),
         (
-            DesignSpace((one, other), correlation=(("a", "b", 0.5),)),
+            DesignSpace((one, other), correlation=tied),
             "independent variables, but a and b are correlated",
         ),
         (DesignSpace((replace(one, high=9999.0),)), "at most 5000 values of a, got 10000"),
@@ -321,7 +321,7 @@ def test_the_command_names_both_intervals_and_its_json_has_them(folder: Path, mo
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
-        (("--fixed", "x=2"), "y is continuous. Give it values, such as --fixed y=0.5, or leave --wrong out"),
+        (("--fixed", "x=2"), "y is continuous. Give it values, such as --fixed y=1, or leave --wrong out"),
         (("--fixed", "x=2,y"), "fixed: must be a file, or values such as T_b=4.0,mu=0.05, got 'y'"),
         (("--fixed", "x=2,z=1"), "z: is not a variable of the campaign"),
         (("--fixed", "x=2,y=0.5,record=77"), "record: must be one of 0, 1"),
@@ -330,3 +330,36 @@ def test_the_command_names_both_intervals_and_its_json_has_them(folder: Path, mo
 )
 def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ...], rule: str) -> None:
     refused(activefail("probability", folder / "run", "--code", folder, "--wrong", "0.01", *words), rule)
+
+
+# --- design ---------------------------------------------------------------------------------------------------------
+
+
+def test_design_finds_the_smallest_value_that_meets_its_target_in_few_simulations(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    words = ("design", folder / "run", "--code", folder, "--fixed", "x=2", "--free", "y", "--wrong", "0.01")
+    shown = activefail(*words, "--target", "20%", "--json", "--out", tmp_path / "out")
+    assert shown.code == 0, shown.err
+    numbers = json.loads(shown.out)
+    grid = np.linspace(0.0, 2.0, 41)
+    smallest = min(y for y in grid if truth(2.0, y) <= 0.2 + 1e-9)
+    assert numbers["bearing"] == {"x": 2.0, "y": pytest.approx(smallest)}
+    assert numbers["outcomes"]["failure"]["probability"] == pytest.approx(truth(2.0, smallest))
+    assert numbers["simulations"] < VALUES * len(numbers["tried"]) / 2
+    again = activefail(*words, "--target", "20%")
+    assert f"y = {smallest:.4g}" in again.out.splitlines()[0]
+    assert "0 simulations now" in again.out
+    design = (tmp_path / "out" / "design.toml").read_text(encoding="utf-8")
+    assert f"\ny = {smallest:.4g}\n" in design
+    words = ("design", folder / "run", "--code", folder, "--fixed", "x=4", "--free", "y", "--wrong", "0.05")
+    unreachable = activefail(*words, "--target", "1%")
+    assert unreachable.code == 3
+    assert "No y within the campaign's range meets the target" in unreachable.out
+
+
+def test_design_by_stripes_has_one_free_variable(folder: Path) -> None:
+    words = ("design", folder / "run", "--code", folder, "--wrong", "0.01", "--target", "0.2")
+    refused(activefail(*words, "--free", "x,y"), "wrong: requires one free variable")
+    refused(activefail(*words, "--free", "y"), "x is continuous")
