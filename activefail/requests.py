@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from activefail.report.evidence import ReportFindings
     from activefail.risk.design.by_stripes import DesignByStripes
     from activefail.risk.design.findings import DesignFindings
+    from activefail.risk.fragility.by_stripes import FragilityByStripes
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
     from activefail.risk.ida.findings import IdaFindings
@@ -196,7 +197,7 @@ class ProbabilityRequest(Request["ProbabilityFindings | StripeFindings"]):
 
 
 @dataclass(frozen=True)
-class FragilityRequest(Request["FragilityFindings"]):
+class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
     """Show the probability of each outcome against intensity.
 
     The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
@@ -220,13 +221,16 @@ class FragilityRequest(Request["FragilityFindings"]):
     verify: int = option(0, f"{SIMULATIONS}, for intervals.", low=0, high=1_000_000)
     confidence: float = confidence(0.95)
     outcome: str | None = option(None, f"Outcome whose curve is verified. {TARGET_BOUNDARY}", str)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
     table: ClassVar = "Table of the curves to write; - is standard output."
     pages: ClassVar = (
-        "Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and OpenQuake."
+        "Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and "
+        "OpenQuake; with --wrong fragility.json alone."
     )
 
-    def answer(self, run: "Run") -> "FragilityFindings":
+    def answer(self, run: "Run") -> "FragilityFindings | FragilityByStripes":
         from activefail.campaign.inquiry import Inquiry, check_designs_of
         from activefail.risk.fragility.band import LEAST
         from activefail.risk.fragility.calculation import fragility
@@ -241,15 +245,26 @@ class FragilityRequest(Request["FragilityFindings"]):
             for end in ladder.levels[[0, -1]].tolist():
                 question = asked.question.at({ladder.name: end})
                 check_designs_of(question, run.campaign.simulator, "bounds (--range)")
+        if self.wrong is not None:
+            from activefail.risk.fragility.by_stripes import fragility_by_stripes
+
+            if asked.hazard is not None or self.verify:
+                raise InputError("wrong: requires against, without hazard and verify.")
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                return fragility_by_stripes(stripes, asked.question, ladder, outcome, self.wrong, self.confidence)
         with estimating(run, self.executor, self.stage, bool(self.verify)) as estimator:
             return fragility(estimator, asked, ladder, outcome, self.verify, self.confidence, self.stage)
 
-    def write_table(self, findings: "FragilityFindings", target: Target) -> None:
+    def write_table(self, findings: "FragilityFindings | FragilityByStripes", target: Target) -> None:
+        from activefail.risk.fragility.by_stripes import FragilityByStripes
         from activefail.risk.fragility.exports import write_curves
 
-        write_curves(findings, target)
+        if isinstance(findings, FragilityByStripes):
+            findings.write_table(target)
+        else:
+            write_curves(findings, target)
 
-    def write_pages(self, findings: "FragilityFindings", run: "Run", out: Path) -> list[Path]:
+    def write_pages(self, findings: "FragilityFindings | FragilityByStripes", run: "Run", out: Path) -> list[Path]:
         from activefail.report.analyses import write_fragility
 
         return write_fragility(findings, out)

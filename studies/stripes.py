@@ -8,8 +8,8 @@
 `questions`: a bearing under the 44 far-field records of FEMA P695 (needs `activefail[records]`). After a campaign, one
 design after another at one peak ground velocity is asked for with `--wrong`; the truth is the result of all records.
 
-`designs`: the same campaign; `design --wrong` for the smallest D_tot of three bearings, for 10 % and then 2.5 %. A result
-is right if it meets the target under all records, and the next smaller value does not.
+`designs`: the same campaign; `design --wrong` for the smallest D_tot of three bearings, for 10 % and then 2.5 %. A
+result is right if it meets the target under all records, and the next smaller value does not.
 
 `intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
 population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each

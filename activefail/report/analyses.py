@@ -17,6 +17,7 @@ from activefail.json_text import json_text
 from activefail.report.environment import markdown_environment, page_environment
 from activefail.risk.design.by_stripes import DesignByStripes
 from activefail.risk.design.findings import DesignFindings
+from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
     FragilityFindings,
@@ -58,8 +59,10 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(findings: FragilityFindings, folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
+    if isinstance(findings, FragilityByStripes):
+        return write_folder(folder, {"fragility.json": json_text(findings.as_json()) + "\n"}, {})
     figure = plot_fragility_findings(findings)
     shown = curves_shown(findings, figure)
     template = page_environment().get_template("fragility.html.j2")

@@ -23,6 +23,7 @@ from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
+from activefail.risk.ida.collapse import fit_lognormal
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array, DesignSpace
 from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
@@ -363,3 +364,44 @@ def test_design_by_stripes_has_one_free_variable(folder: Path) -> None:
     words = ("design", folder / "run", "--code", folder, "--wrong", "0.01", "--target", "0.2")
     refused(activefail(*words, "--free", "x,y"), "wrong: requires one free variable")
     refused(activefail(*words, "--free", "y"), "x is continuous")
+
+
+# --- fragility ------------------------------------------------------------------------------------------------------
+
+
+def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    words = ("fragility", folder / "run", "--code", folder, "--fixed", "y=1", "--against", "x", "--wrong", "0.01")
+    shown = activefail(*words, "--json", "--range", "0.8,3.8", "--out", tmp_path / "out")
+    assert shown.code == 0, shown.err
+    numbers = json.loads(shown.out)
+    for one in numbers["levels"]:
+        assert one["probability"] == pytest.approx(truth(one["level"], 1.0), abs=1.01 / VALUES)
+    capacity = 2.5 - 1.3 * np.sin(1.7 * np.arange(VALUES) + 0.4)
+    exact = fit_lognormal(capacity * 0.999, capacity)
+    assert exact is not None
+    assert numbers["lognormal"]["median"] == pytest.approx(exact.median, rel=0.06)
+    assert numbers["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.25)
+    low, high = numbers["lognormal"]["median_interval"]
+    assert low < exact.median < high
+    assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2
+    assert json.loads((tmp_path / "out" / "fragility.json").read_text())["levels"] == numbers["levels"]
+    table = activefail(*words, "--range", "0.8,3.8", "--csv", "-")
+    assert table.out.splitlines()[0] == "x,probability,low,high,others_low,others_high,simulated,predicted"
+    assert len(table.out.splitlines()) == 1 + len(numbers["levels"])
+    again = activefail(*words, "--range", "0.8,3.8")
+    assert again.out.splitlines()[0] == "probability of failure against x at y = 1.0"
+    assert any(line.startswith("median") for line in again.out.splitlines())
+
+
+def test_a_curve_by_stripes_has_a_variable_and_nothing_else_to_verify(folder: Path) -> None:
+    words = ("fragility", folder / "run", "--code", folder, "--wrong", "0.01", "--against", "x")
+    refused(
+        activefail(*words, "--fixed", "y=1", "--verify", "100"), "wrong: requires against, without hazard and verify"
+    )
+    refused(activefail(*words), "y is continuous")
+    flat = activefail(*words, "--fixed", "y=1", "--range", "0,0.2")
+    assert flat.code == 2
+    assert "choose others with --range" in flat.err
