@@ -2,7 +2,8 @@
 
     python studies/stripes.py --part questions --seeds 3
     python studies/stripes.py --part designs --seeds 3
-    python studies/stripes.py --part intervals --repetitions 40
+    python studies/stripes.py --part curves --seeds 3
+    python studies/stripes.py --part intervals --repetitions 30
     python studies/stripes.py --part halves --repetitions 300
 
 `questions`: a bearing under the 44 far-field records of FEMA P695 (needs `activefail[records]`). After a campaign, one
@@ -10,6 +11,9 @@ design after another at one peak ground velocity is asked for with `--wrong`; th
 
 `designs`: the same campaign; `design --wrong` for the smallest D_tot of three bearings, for 10 % and then 2.5 %. A
 result is right if it meets the target under all records, and the next smaller value does not.
+
+`curves`: the same campaign; `fragility --wrong` against PGV of two bearings. The true median and dispersion are those
+of the 44 capacities, to 2 %.
 
 `intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
 population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each
@@ -36,6 +40,9 @@ from activefail.execution.local import ThreadExecutor
 from activefail.loop.learning import current
 from activefail.risk.design.by_stripes import STEPS, design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.fragility.by_stripes import fragility_by_stripes
+from activefail.risk.fragility.levels import ladder_of
+from activefail.risk.ida.collapse import fit_lognormal
 from activefail.simulators.interface import Results
 from activefail.stripes.intervals import of_others
 from activefail.stripes.stripe import Stripes
@@ -207,6 +214,35 @@ def designs(options):
                     line(seed, T_b, mu, target, at, count, result.simulations, 44 * count, "yes" if right else "no")
 
 
+def curves(options):
+    """Runs, and errors of median and dispersion, of one curve after another."""
+    low, high = RECORDS["PGV"]["low"], RECORDS["PGV"]["high"]
+    levels = low * 1.02 ** np.arange(int(np.log(high / low) / np.log(1.02)) + 1)
+    head("seed", "T_b [s]", "mu", "D_tot [m]", "levels", "runs", "all records", "median", "true", "dispersion", "true")
+    for seed in range(options.seeds):
+        of_records = {"python": "stripes:features", "variables": False}
+        found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+        with ThreadExecutor(1) as executor, one_thread():
+            asks = asking(found, executor)
+            for T_b, mu, D_tot in ((3.5, 0.06, 0.6), (4.5, 0.08, 0.7)):
+                X = np.array([[T_b, mu, D_tot, record, level] for level in levels for record in range(44)])
+                fails = bearing_fails(X).reshape(len(levels), 44)
+                first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(levels))
+                exact = fit_lognormal(np.append(0.0, levels)[first], np.append(levels, np.inf)[first])
+                inquiry = Inquiry.of(found.campaign, fixed={"T_b": T_b, "mu": mu, "D_tot": D_tot})
+                ladder = ladder_of(inquiry, against="PGV")
+                curve = fragility_by_stripes(asks, inquiry.question, ladder, "failure", options.wrong[0], CONFIDENCE)
+                fit = curve.fit.fit
+                count = len(curve.levels)
+                found_of = (
+                    f"{fit.median:.2f}",
+                    f"{exact.median:.2f}",
+                    f"{fit.dispersion:.2f}",
+                    f"{exact.dispersion:.2f}",
+                )
+                line(seed, T_b, mu, D_tot, count, curve.simulations, 44 * count, *found_of)
+
+
 MADE_UP = {
     "x": {"low": -1.0, "high": 2.5},
     "y": {"low": 0.0, "high": 2.0},
@@ -309,12 +345,14 @@ if __name__ == "__main__":
         part="questions",
         seeds=3,
         seed=1,
-        repetitions=40,
+        repetitions=30,
         runs=60,
         questions=6,
         pgv=1.6,
         velocity=1.2,
         wrong=[0.01],
-        hidden=[0.0, 0.3],
+        hidden=[0.0, 0.3, 0.8],
     )
-    {"questions": questions, "designs": designs, "intervals": intervals, "halves": halves}[options.part](options)
+    {"questions": questions, "designs": designs, "curves": curves, "intervals": intervals, "halves": halves}[
+        options.part
+    ](options)
