@@ -204,7 +204,7 @@ class Stripes:
                 rows = chosen.rows
             self._simulate(stripe, np.array(rows))
 
-    def predicted(self, question: Question, outcome: str) -> float:
+    def by_classifier(self, question: Question, outcome: str) -> float:
         """The probability by the classifier alone, with what the record knows; nothing is simulated."""
         values = FiniteValues.of(question)
         F, began = finite(self.campaign.features, values.X), len(History.of(self.store.batches))

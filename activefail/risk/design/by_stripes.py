@@ -156,7 +156,7 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
 
     def predicted(place: int) -> bool:
         question = task.question.at({name: float(values[place])})
-        return all(stripes.predicted(question, one.outcome) <= one.target for one in task.requirements)
+        return all(stripes.by_classifier(question, one.outcome) <= one.target for one in task.requirements)
 
     last = len(values) - 1
     start = min(last, _first(len(values), last // 2, predicted))

@@ -166,7 +166,7 @@ def fragility_by_stripes(
 
     all_levels = ladder.levels.astype(np.float64)
     coarse = np.unique(np.append(all_levels[::_COARSE], all_levels[-1]))
-    shares = np.array([stripes.predicted(at(level), outcome) for level in coarse.tolist()])
+    shares = np.array([stripes.by_classifier(at(level), outcome) for level in coarse.tolist()])
     inside = np.flatnonzero((shares >= _FIRST) & (shares <= _LAST))
     if not len(inside):
         raise InputError(
