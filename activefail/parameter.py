@@ -255,6 +255,15 @@ class Parameter:
         low, high = self.low - 0.5 * self.step, self.high + 0.5 * self.step
         return replace(self, low=max(low, 0.0) if self.distribution in POSITIVE else low, high=high, step=None)
 
+    @cached_property
+    def shares(self) -> Array:
+        """The probabilities of `values`; empty if the variable is continuous."""
+        if self.step is None or self.choices:
+            return np.array(self.probabilities)
+        of, half = self.continuous, 0.5 * self.step
+        ends = of.share(np.clip(np.append(self.values - half, self.values[-1] + half), of.low, of.high))
+        return np.asarray(np.diff(ends))
+
     @property
     def _is_rounded(self) -> bool:
         return self.step is not None and not self.choices

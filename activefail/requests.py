@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
     from activefail.intensity import Intensity
     from activefail.report.evidence import ReportFindings
+    from activefail.risk.design.by_stripes import DesignByStripes
     from activefail.risk.design.findings import DesignFindings
+    from activefail.risk.fragility.by_stripes import FragilityByStripes
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.hazard_summary import HazardSummary
     from activefail.risk.ida.findings import IdaFindings
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from activefail.risk.ida.simulations import Values
     from activefail.risk.sensitivity.findings import SensitivityFindings
     from activefail.run import Run
+    from activefail.stripes.findings import StripeFindings
+    from activefail.stripes.stripe import Stripes
     from activefail.verification.probability_estimator import Estimator
 
 SIMULATIONS = "Fresh simulations, outside the budget"
@@ -95,9 +99,20 @@ EXECUTOR = Option(
 )
 SCHEDULER = Option("Address of the Dask cluster, such as tcp://head:8786.", str, metavar="ADDRESS")
 FIXED = Option(
-    "TOML file with values of variables, such as T_b = 4.0; in Python also values by name.",
+    "Values of variables, such as T_b=4.0,mu=0.05, or a TOML file with them; in Python also values by name.",
     Path,
     names=("--fixed", "--bearing"),
+)
+
+WRONG = Option(
+    "Where the variables without a value have finitely many values: simulate the doubtful ones until so large a share "
+    "is expected to be predicted wrongly, such as 0.01 (docs/stripes.md).",
+    float,
+    low=0.0,
+    high=0.5,
+)
+AT_ONCE = Option(
+    "With --wrong: values that are simulated at a time, before the classifier learns again.", int, low=1, default=3
 )
 
 
@@ -143,11 +158,12 @@ class VerifyRequest(Request["ErrorFindings | SurfaceFindings"]):
 
 
 @dataclass(frozen=True)
-class ProbabilityRequest(Request["ProbabilityFindings"]):
+class ProbabilityRequest(Request["ProbabilityFindings | StripeFindings"]):
     """Estimate the probability of an outcome, with an interval.
 
     The estimate combines the campaign's classifier with fresh simulations. The probability is that of the outcome or a
-    more severe one.
+    more severe one. With --wrong the doubtful ones of finitely many values are simulated, and the campaign learns from
+    them.
     """
 
     simulations: int = option(50, f"{SIMULATIONS}; a question may add a mode check.", low=10, high=1_000_000)
@@ -158,14 +174,21 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
         None, "Hazard file; the distribution is that of its pulses (docs/hazard.md).", Path
     )
     fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
-    def answer(self, run: "Run") -> "ProbabilityFindings":
+    def answer(self, run: "Run") -> "ProbabilityFindings | StripeFindings":
         from activefail.campaign.inquiry import Inquiry
         from activefail.findings.estimates import ProbabilityFindings
         from activefail.findings.status import estimate_of
+        from activefail.stripes.findings import StripeFindings
 
         outcome = run._boundary_named(self.outcome)
         asked = Inquiry.of(run.campaign, self.hazard, self.question, self.fixed).question
+        if self.wrong is not None:
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                stripe = stripes.ask(asked, outcome, self.wrong)
+            return StripeFindings.of(run.campaign, stripe, self.confidence)
         with estimating(run, self.executor, self.stage) as estimator:
             sample = estimator.sample(outcome, self.simulations, asked, checks=True)
             findings = ProbabilityFindings.of(
@@ -177,7 +200,7 @@ class ProbabilityRequest(Request["ProbabilityFindings"]):
 
 
 @dataclass(frozen=True)
-class FragilityRequest(Request["FragilityFindings"]):
+class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
     """Show the probability of each outcome against intensity.
 
     The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
@@ -201,13 +224,16 @@ class FragilityRequest(Request["FragilityFindings"]):
     verify: int = option(0, f"{SIMULATIONS}, for intervals.", low=0, high=1_000_000)
     confidence: float = confidence(0.95)
     outcome: str | None = option(None, f"Outcome whose curve is verified. {TARGET_BOUNDARY}", str)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
     table: ClassVar = "Table of the curves to write; - is standard output."
     pages: ClassVar = (
-        "Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and OpenQuake."
+        "Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and "
+        "OpenQuake; with --wrong fragility.json alone."
     )
 
-    def answer(self, run: "Run") -> "FragilityFindings":
+    def answer(self, run: "Run") -> "FragilityFindings | FragilityByStripes":
         from activefail.campaign.inquiry import Inquiry, check_designs_of
         from activefail.risk.fragility.band import LEAST
         from activefail.risk.fragility.calculation import fragility
@@ -222,22 +248,33 @@ class FragilityRequest(Request["FragilityFindings"]):
             for end in ladder.levels[[0, -1]].tolist():
                 question = asked.question.at({ladder.name: end})
                 check_designs_of(question, run.campaign.simulator, "bounds (--range)")
+        if self.wrong is not None:
+            from activefail.risk.fragility.by_stripes import fragility_by_stripes
+
+            if asked.hazard is not None or self.verify:
+                raise InputError("wrong: requires against, without hazard and verify.")
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                return fragility_by_stripes(stripes, asked.question, ladder, outcome, self.wrong, self.confidence)
         with estimating(run, self.executor, self.stage, bool(self.verify)) as estimator:
             return fragility(estimator, asked, ladder, outcome, self.verify, self.confidence, self.stage)
 
-    def write_table(self, findings: "FragilityFindings", target: Target) -> None:
+    def write_table(self, findings: "FragilityFindings | FragilityByStripes", target: Target) -> None:
+        from activefail.risk.fragility.by_stripes import FragilityByStripes
         from activefail.risk.fragility.exports import write_curves
 
-        write_curves(findings, target)
+        if isinstance(findings, FragilityByStripes):
+            findings.write_table(target)
+        else:
+            write_curves(findings, target)
 
-    def write_pages(self, findings: "FragilityFindings", run: "Run", out: Path) -> list[Path]:
+    def write_pages(self, findings: "FragilityFindings | FragilityByStripes", run: "Run", out: Path) -> list[Path]:
         from activefail.report.analyses import write_fragility
 
         return write_fragility(findings, out)
 
 
 @dataclass(frozen=True)
-class DesignRequest(Request["DesignFindings"]):
+class DesignRequest(Request["DesignFindings | DesignByStripes"]):
     """Find and verify the smallest design that meets a target.
 
     The target is a probability of an outcome, such as failure. Free variables stay within the campaign's ranges; the
@@ -265,10 +302,14 @@ class DesignRequest(Request["DesignFindings"]):
         1000, "Maximum number of fresh simulations for each target; not part of the budget.", low=10, high=1_000_000
     )
     chart: bool = option(False, "Compute the chart of required values, with --out.", with_out=True)
+    wrong: float | None = declared(WRONG)
+    at_once: int = declared(AT_ONCE)
 
-    pages: ClassVar = "Folder for the page design.html, its pictures, and design.json and design.toml."
+    pages: ClassVar = (
+        "Folder for the page design.html, its pictures, and design.json and design.toml; with --wrong the last two."
+    )
 
-    def answer(self, run: "Run") -> "DesignFindings":
+    def answer(self, run: "Run") -> "DesignFindings | DesignByStripes":
         from activefail.campaign.inquiry import Inquiry
         from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
         from activefail.risk.design.findings import DesignFindings
@@ -284,6 +325,11 @@ class DesignRequest(Request["DesignFindings"]):
             site, requirements, rate = at_risk(asked.hazard, requirements)
             asked = Inquiry.of_hazard(campaign, site, asked.fixed, free)
         task = design_task(asked, requirements, names, self.cost, self.confidence, self.simulations, rate)
+        if self.wrong is not None:
+            from activefail.risk.design.by_stripes import design_by_stripes
+
+            with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
+                return design_by_stripes(stripes, task, self.wrong)
         with estimating(run, self.executor, self.stage) as estimator:
             designed = find_design(estimator, task, self.stage)
             findings = DesignFindings.of(estimator, designed, self.chart, self.stage)
@@ -291,10 +337,10 @@ class DesignRequest(Request["DesignFindings"]):
             remember_design(run.store, designed)
         return findings
 
-    def write_pages(self, findings: "DesignFindings", run: "Run", out: Path) -> list[Path]:
+    def write_pages(self, findings: "DesignFindings | DesignByStripes", run: "Run", out: Path) -> list[Path]:
         from activefail.report.analyses import write_design
 
-        return write_design(findings, out)
+        return write_design(findings, run.campaign, out)
 
 
 @dataclass(frozen=True)
@@ -631,3 +677,18 @@ def estimating(
     with nullcontext(executor) if executor or not simulates else run._shown_executor() as pool, one_thread():
         learned, last = run.learn(stage), run.history.last_iteration
         yield Estimator(run.campaign, run.store, pool, learned.classifier, last)
+
+
+@contextmanager
+def asking_stripes(run: "Run", at_once: int, executor: "Executor | None", stage: Stage) -> "Iterator[Stripes]":
+    """What asks over finitely many values; their simulations join the record.
+
+    Raises:
+        InputError: if the initial design is not finished.
+    """
+    from activefail.stripes.stripe import Stripes
+
+    run._check_initial_design()
+    with nullcontext(executor) if executor else run._shown_executor() as pool, run._turn, one_thread():
+        yield Stripes(run.campaign, run.store, pool, lambda: run.learn(stage).classifier, at_once, stage)
+        run._predicts = None

@@ -16,6 +16,7 @@ from activefail.campaign.hazard_sections import LARGEST_MEDIAN
 from activefail.campaign.sections import AnyVariable, FixedVariable, QuestionSettings, SetVariable, shown
 from activefail.campaign.settings import read_toml
 from activefail.errors import InputError, naming
+from activefail.numerals import number_in
 from activefail.parameter import Parameter
 from activefail.shares import feasible_share, percent, records_in_words
 from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
@@ -279,11 +280,13 @@ def question_of(
 
 
 def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[str, float]:
-    """Values of variables in an argument: by name, in a TOML file with lines such as `T_b = 4.0`, or None.
+    """Values of variables: by name, as text such as "T_b=4.0,mu=0.05", in a TOML file with such lines, or None.
 
     Raises:
         InputError: naming the file; if a name is not a variable of the campaign, or a value is not a number.
     """
+    if isinstance(given, str | Path) and "=" in str(given) and not Path(given).exists():
+        return values_of(_written(str(given), space), space, argument)
     if isinstance(given, str | Path):
         values = read_toml(Path(given))
         with naming(f"{given}: "):
@@ -301,6 +304,23 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
         if one.step is not None and not one.choices and not one.contains(value):
             raise InputError(f"{name}: {one.rule}, got {value:g}.")
     return {name: _number_of(space, name, value, name) for name, value in given.items()}
+
+
+def _written(text: str, space: DesignSpace) -> dict[str, Any]:
+    """Values by name in a text such as "T_b=4.0,soil=A"; those of variables without choices are numbers.
+
+    Raises:
+        InputError: quoting the part that is no value.
+    """
+    values: dict[str, Any] = {}
+    with_choices = {one.name for one in space.parameters if one.choices}
+    for part in text.split(","):
+        name, _, word = (piece.strip() for piece in part.partition("="))
+        try:
+            values[name] = word if name in with_choices else number_in(word)
+        except ValueError:
+            raise InputError(f"fixed: must be a file, or values such as T_b=4.0,mu=0.05, got {shown(part)}.") from None
+    return values
 
 
 def _number_of(space: DesignSpace, name: str, value: Any, key: str) -> float:

@@ -16,6 +16,7 @@ STREAMS = {
     "draw": 11,
     "hidden": 12,
     "modes": 13,
+    "stripe": 14,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

@@ -15,7 +15,9 @@ from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import by_name, custom_quantity, plain, quantity
 from activefail.json_text import json_text
 from activefail.report.environment import markdown_environment, page_environment
+from activefail.risk.design.by_stripes import DesignByStripes
 from activefail.risk.design.findings import DesignFindings
+from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
     FragilityFindings,
@@ -57,8 +59,10 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(findings: FragilityFindings, folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
+    if isinstance(findings, FragilityByStripes):
+        return write_folder(folder, {"fragility.json": json_text(findings.as_json()) + "\n"}, {})
     figure = plot_fragility_findings(findings)
     shown = curves_shown(findings, figure)
     template = page_environment().get_template("fragility.html.j2")
@@ -100,22 +104,23 @@ def _rows(titled: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
     return rows
 
 
-def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
+def write_design(findings: DesignFindings | DesignByStripes, campaign: Campaign, folder: Path) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
     figures = {}
-    if findings.chart is not None:
-        figures["required"] = plot_required(findings.chart, by_name(findings.campaign), marks_of(findings))
     texts = {
-        "design.html": render_design(findings, figures.get("required")),
         "design.json": json_text(findings.as_json()) + "\n",
-        "design.toml": _values_text(findings),
+        "design.toml": _values_text(findings, campaign),
     }
+    if isinstance(findings, DesignFindings):
+        if findings.chart is not None:
+            figures["required"] = plot_required(findings.chart, by_name(campaign), marks_of(findings))
+        texts = {"design.html": render_design(findings, figures.get("required")), **texts}
     return write_folder(folder, texts, figures)
 
 
-def _values_text(findings: DesignFindings) -> str:
+def _values_text(findings: DesignFindings | DesignByStripes, campaign: Campaign) -> str:
     """The design as TOML, for --fixed of other commands."""
-    units = {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    units = {parameter.name: parameter.unit for parameter in campaign.space.parameters}
     lines = [f"# {findings.verdict}"]
     for name, value in findings.bearing.items():
         unit = f"  # {units[name]}" if units.get(name) else ""

@@ -1,0 +1,186 @@
+"""A fragility curve under finitely many values, such as records: a stripe at each of a few levels."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.question import Question
+from activefail.csv_table import Target, writing
+from activefail.errors import InputError
+from activefail.findings.lines import aligned, titled
+from activefail.json_text import json_values
+from activefail.risk.fragility.curve import Ladder
+from activefail.risk.ida.collapse import CONFIDENCE, Fragility, fitted
+from activefail.shares import interval_percent, percent
+from activefail.space import Array
+from activefail.stripes.findings import StripeFindings
+from activefail.stripes.stripe import Stripe, Stripes
+from activefail.visible import or_worse
+
+LEVELS = 6
+"""Levels of a curve by stripes."""
+
+_FIRST, _LAST = 0.05, 0.7
+"""Probabilities by the classifier between which the levels lie."""
+
+_COARSE = 3
+"""Steps of the ladder between levels at which the classifier is asked where these are."""
+
+
+@dataclass(frozen=True, eq=False)
+class FragilityByStripes:
+    """The probability of an outcome or a more severe one at a few levels, and the lognormal curve of its values.
+
+    Attributes:
+        ladder: of the variable.
+        levels: (k,) increasing.
+        stripes: (k,) what was found at each.
+        found: (k,) the same in numbers and words.
+    """
+
+    ladder: Ladder
+    levels: Array
+    stripes: tuple[Stripe, ...]
+    found: tuple[StripeFindings, ...]
+
+    exit_code = 0
+
+    @cached_property
+    def brackets(self) -> tuple[Array, Array]:
+        """For each value the highest level that it survives below its capacity, and its capacity, (n,) each.
+
+        They are 0 below the lowest level, and infinite above the highest.
+        """
+        fails = np.array([one.beyond for one in self.stripes])
+        first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(self.levels))
+        return np.append(0.0, self.levels)[first], np.append(self.levels, np.inf)[first]
+
+    @cached_property
+    def _group(self) -> NDArray[np.intp]:
+        group = self.stripes[0].values.group
+        return np.arange(len(self.stripes[0].values)) if group is None else group
+
+    @cached_property
+    def fit(self) -> Fragility | None:
+        """The lognormal curve with intervals over groups; None where the levels do not bound it.
+
+        Values without the same probability have none, and a variable that is not positive.
+        """
+        weight = self.stripes[0].values.weight
+        if not self.levels[0] > 0.0 or not np.allclose(weight, weight[0]):
+            return None
+        return fitted(*self.brackets, list(map(str, self._group.tolist())))
+
+    @property
+    def simulations(self) -> int:
+        """Of this command."""
+        return sum(one.new for one in self.stripes)
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        one, name = self.found[0], self.ladder.name
+        unit = f" {self.ladder.unit}" if self.ladder.unit else ""
+        title = f"{name} [{self.ladder.unit}]" if unit else name
+        at = ", ".join(f"{key} = {value}" for key, value in one.fixed.items() if key != name)
+        event, sure = or_worse(one.stripe.outcome, one.outcomes), f"{100.0 * one.confidence:g} %"
+        rows = [[title, "P", f"these, {sure}", f"others, {sure}", "simulated", "now"]]
+        for level, found in zip(self.levels.tolist(), self.found, strict=True):
+            others = "–" if found.others is None else interval_percent(*found.others, 1)
+            known = f"{int(found.stripe.known.sum())} of {len(found.stripe.values)}"
+            share, these = percent(found.stripe.probability), interval_percent(*found.these, 1)
+            rows.append([f"{level:.4g}", share, these, others, known, str(found.stripe.new)])
+        texts = []
+        if self.fit is None:
+            texts.append(("lognormal", "none: the levels do not bound it, or the values are not equally probable"))
+        else:
+            texts.append(("median", f"{self.fit.fit.median:.4g}{unit}{_ends(self.fit.median)}"))
+            texts.append(("dispersion", f"{self.fit.fit.dispersion:.3g}{_ends(self.fit.dispersion)}"))
+        count = len(self.stripes) * len(self.stripes[0].values)
+        texts.append(("from", f"{self.simulations} simulations now, of {count} in all"))
+        texts += [("note", sentence) for sentence in one.of_question]
+        head = f"probability of {event} against {name}" + (f" at {at}" if at else "")
+        return [head, *aligned(rows), *titled(texts)]
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        outcome, fit = self.stripes[0].outcome, self.fit
+        return json_values(
+            {
+                "variable": self.ladder.name,
+                "outcome": outcome,
+                "simulations": self.simulations,
+                "levels": [
+                    {"level": level, **one.as_json()["outcomes"][outcome]}
+                    for level, one in zip(self.levels.tolist(), self.found, strict=True)
+                ],
+                "lognormal": fit
+                and {
+                    "median": fit.fit.median,
+                    "dispersion": fit.fit.dispersion,
+                    "median_interval": list(fit.median) or None,
+                    "dispersion_interval": list(fit.dispersion) or None,
+                    "confidence": CONFIDENCE,
+                },
+            }
+        )
+
+    def write_table(self, target: Target) -> None:
+        """Write a row for each level: the probability with both intervals, and how many values are simulated."""
+        header = ["probability", "low", "high", "others_low", "others_high", "simulated", "predicted"]
+        with writing(target, [self.ladder.name, *header]) as write:
+            for level, one in zip(self.levels.tolist(), self.found, strict=True):
+                others = ("", "") if one.others is None else one.others
+                counts = int(one.stripe.known.sum()), int(one.stripe.predicted.sum())
+                write([[level, one.stripe.probability, *one.these, *others, *counts]])
+
+
+def _ends(interval: tuple[float, float] | tuple[()]) -> str:
+    if not interval:
+        return ", without an interval"
+    return f" ({interval[0]:.4g} to {interval[1]:.4g}, {100.0 * CONFIDENCE:g} %, over groups)"
+
+
+def fragility_by_stripes(
+    stripes: Stripes, question: Question, ladder: Ladder, outcome: str, wrong: float, confidence: float
+) -> FragilityByStripes:
+    """The curve of an outcome or a more severe one, from stripes at a few levels; each teaches the next.
+
+    The levels lie between those at which the classifier puts 5 % and 70 % of the values beyond the boundary. They are
+    asked for from the middle outwards: the middle teaches most.
+
+    Args:
+        stripes: asks.
+        question: the distribution of the variables.
+        ladder: all levels.
+        outcome: of the boundary.
+        wrong: as for `Stripes.ask`.
+        confidence: of the intervals.
+    """
+
+    def at(level: float) -> Question:
+        return question.at({ladder.name: level})
+
+    all_levels = ladder.levels.astype(np.float64)
+    coarse = np.unique(np.append(all_levels[::_COARSE], all_levels[-1]))
+    shares = np.array([stripes.by_classifier(at(level), outcome) for level in coarse.tolist()])
+    inside = np.flatnonzero((shares >= _FIRST) & (shares <= _LAST))
+    if not len(inside):
+        raise InputError(
+            f"wrong: the classifier puts no level of {ladder.name} between {100 * _FIRST:g} and {100 * _LAST:g} %; "
+            "choose others with --range."
+        )
+    ends = coarse[[max(0, inside[0] - 1), min(len(coarse) - 1, inside[-1] + 1)]]
+    levels = all_levels[(all_levels >= ends[0]) & (all_levels <= ends[1])]
+    levels = levels[np.unique(np.linspace(0, len(levels) - 1, LEVELS).round().astype(int))]
+    order = np.argsort(np.abs(np.arange(len(levels)) - len(levels) // 2), kind="stable")
+    found: dict[int, Stripe] = {}
+    for place in order.tolist():
+        stripes.stage(f"{ladder.name} = {levels[place]:.4g}")
+        found[place] = stripes.ask(at(float(levels[place])), outcome, wrong)
+    asked = tuple(found[place] for place in range(len(levels)))
+    of = tuple(StripeFindings.of(stripes.campaign, one, confidence) for one in asked)
+    return FragilityByStripes(ladder, levels, asked, of)

@@ -1,0 +1,1 @@
+"""Questions over finitely many values: the doubtful ones are simulated, the others predicted."""

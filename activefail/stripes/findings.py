@@ -1,0 +1,153 @@
+"""What a question over finitely many values has found, as text and JSON."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from activefail.campaign.assembly import Campaign
+from activefail.findings.lines import titled
+from activefail.shares import interval_percent, percent
+from activefail.simulators.bearing import limits_of
+from activefail.stripes.intervals import Interval
+from activefail.stripes.stripe import OF_BOUND, Stripe
+from activefail.visible import or_worse
+
+
+@dataclass(frozen=True, eq=False)
+class StripeFindings:
+    """The probability of an outcome or a more severe one over finitely many values, with two intervals.
+
+    Attributes:
+        stripe: what is known of the values.
+        outcomes: of the simulator, the least severe first.
+        confidence: of the intervals.
+        fixed: values of the other variables, as people see them.
+        of_question: what the question and the simulator assume, as sentences.
+    """
+
+    stripe: Stripe
+    outcomes: tuple[str, ...]
+    confidence: float
+    fixed: dict[str, Any]
+    of_question: tuple[str, ...] = ()
+
+    exit_code = 0
+
+    @classmethod
+    def of(cls, campaign: Campaign, stripe: Stripe, confidence: float) -> "StripeFindings":
+        """The findings of a campaign."""
+        question, simulator = stripe.question, campaign.simulator
+        assumed = (*question.assumptions, *limits_of(simulator))
+        return cls(stripe, tuple(simulator.outcomes), confidence, campaign.space.written(question.fixed), assumed)
+
+    @property
+    def these(self) -> Interval:
+        """The interval of these values."""
+        return self.stripe.of_these(self.confidence)
+
+    @property
+    def others(self) -> Interval | None:
+        """The interval of other values of their kind."""
+        return self.stripe.of_others(self.confidence)
+
+    @property
+    def _names(self) -> str:
+        return ", ".join(self.stripe.values.names)
+
+    @property
+    def _groups(self) -> int:
+        group = self.stripe.values.group
+        return 0 if group is None else len(set(group[self.stripe.values.weight > 0.0].tolist()))
+
+    @property
+    def why_no_others(self) -> str:
+        """Why there is no interval of other values; empty if there is one."""
+        if self.others is not None:
+            return ""
+        if self.stripe.values.group is None:
+            return f"the values of {self._names} are no sample of others"
+        return f"the values of {self._names} are of {self._groups} groups, and three are needed"
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        stripe, sure = self.stripe, f"with {100.0 * self.confidence:g} % confidence"
+        count, simulated = len(stripe.values), int(stripe.known.sum())
+        predicted, checked = int(stripe.predicted.sum()), stripe.checked
+        lost = f"; {int(stripe.lost.sum())} gave no outcome and count both ways" if stripe.lost.any() else ""
+        at = ", ".join(f"{name} = {value}" for name, value in self.fixed.items())
+        these = f"the {count} values of {self._names}"
+        rows = [("these", f"{_ends(self.these)}, {sure}: {these}; what is left is the classifier's doubt")]
+        if self.others is not None:
+            single = "" if self._groups < count else ", one for each value"
+            kind = f"other values of the kind, if these are a sample; over {self._groups} groups{single}"
+            rows.append(("others", f"{_ends(self.others)}, {sure}: {kind}"))
+        else:
+            rows.append(("others", f"no interval: {self.why_no_others}"))
+        rows += [
+            ("from", f"{simulated} simulated ({stripe.new} now) and {predicted} predicted{lost}"),
+            (
+                "wrong",
+                f"{percent(stripe.expected_wrong, 2)} expected to be predicted wrongly, of which "
+                f"{percent(stripe.doubted, 2)} by the classifier's own doubt; asked for: {percent(stripe.wrong, 2)}",
+            ),
+            (
+                "check",
+                f"{checked.simulated} random predictions were simulated too, {checked.wrong} wrong; they alone show "
+                f"that at most {stripe.most_wrong} of the {predicted} predicted are wrong ({100 * OF_BOUND:g} %)",
+            ),
+            ("campaign", f"{stripe.learned} simulations, these among them"),
+            *(("note", sentence) for sentence in self.assumptions),
+        ]
+        named = or_worse(stripe.outcome, self.outcomes)
+        return [f"probability of {named}{f' at {at}' if at else ''}: {stripe.probability:.3g}", *titled(rows)]
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What the numbers assume, and what contradicts them, as sentences."""
+        stripe, sentences = self.stripe, []
+        if stripe.expected_wrong > stripe.wrong:
+            sentences.append(
+                "More is expected wrong than was asked for: the doubtful values are in flight elsewhere. Record their "
+                "results with `activefail tell`, or drop them; then ask again."
+            )
+        if stripe.checked.wrong:
+            sentences.append("The check contradicted the classifier, so more values were simulated.")
+        return [*sentences, *self.of_question]
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        stripe = self.stripe
+        return {
+            "outcomes": {
+                stripe.outcome: {
+                    "probability": stripe.probability,
+                    "low": self.these.low,
+                    "high": self.these.high,
+                    "confidence": self.confidence,
+                    "others": None if self.others is None else self.others._asdict(),
+                    "others_reason": self.why_no_others or None,
+                    "values": len(stripe.values),
+                    "groups": self._groups or None,
+                    "simulations": stripe.new,
+                    "simulated": int(stripe.known.sum()),
+                    "numerical_failures": int(stripe.lost.sum()),
+                    "predicted": int(stripe.predicted.sum()),
+                    "wrong": stripe.wrong,
+                    "expected_wrong": stripe.expected_wrong,
+                    "doubted": stripe.doubted,
+                    "check": {
+                        "simulations": stripe.checked.simulated,
+                        "wrong": stripe.checked.wrong,
+                        "most_wrong": stripe.most_wrong,
+                        "confidence": OF_BOUND,
+                    },
+                    "campaign_simulations": stripe.learned,
+                    "fixed": self.fixed,
+                    "assumptions": self.assumptions,
+                }
+            }
+        }
+
+
+def _ends(interval: Interval) -> str:
+    return interval_percent(interval.low, interval.high, 1)

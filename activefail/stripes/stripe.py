@@ -1,0 +1,291 @@
+"""A probability over finitely many values: the classifier predicts each, and the doubtful ones are simulated.
+
+A *stripe* is such a question at given values of all other variables, such as one design under all records at one
+intensity. Its simulations join the record as if they were added: the classifier learns from them, and they are not part
+of the budget. The predictions that they check are kept before, so that an interrupted question continues.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.acquisition.population import finite
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.finite import FiniteValues
+from activefail.campaign.question import Question
+from activefail.campaign.random_streams import stream
+from activefail.errors import InputError, SimulationError
+from activefail.execution.executor import Executor
+from activefail.loop.history import History
+from activefail.loop.in_flight import HandedOut
+from activefail.loop.telling import add
+from activefail.progress import Stage, silent
+from activefail.record.asked import are_among, bits_of
+from activefail.record.store import Store
+from activefail.shares import percent
+from activefail.simulators.interface import NUMERICAL_FAILURE, is_impossible
+from activefail.space import Array
+from activefail.stripes.intervals import (
+    Checked,
+    Interval,
+    deviations,
+    expected_wrong,
+    most_wrong,
+    of_others,
+    of_these,
+)
+from activefail.surrogate.classifier import Classifier
+from activefail.verification.error import probability_wrong
+from activefail.verification.stored_sets import first_fault_text
+
+_CHECKED, _LEAST_CHECKED = 0.1, 3
+"""Share of the predictions that a check simulates too, and their least number."""
+
+OF_BOUND = 0.9
+"""One-sided confidence of the bound on wrong predictions without a model."""
+
+
+class Round(NamedTuple):
+    """Values that were chosen together, and what the classifier said of them before they were simulated.
+
+    Attributes:
+        rows: of the question's values.
+        beyond: whether each was predicted to be beyond the boundary.
+        predicted: number of all predictions if these are random ones of them, a check; 0 if they are the most doubtful.
+    """
+
+    rows: list[int]
+    beyond: list[bool]
+    predicted: int
+
+
+@dataclass(frozen=True, eq=False)
+class Stripe:
+    """What is known of a question's values.
+
+    Attributes:
+        question: whose values they are.
+        outcome: of the boundary.
+        values: the n values.
+        known: (n,) whether each was simulated with an outcome.
+        lost: (n,) whether its simulation gave none; values that do not exist have no weight.
+        beyond: (n,) on which side of the boundary it is, or is predicted to be if it is not known.
+        doubt: (n,) the classifier's probability that this is wrong; 0 where it was simulated.
+        wrong: accepted expected probability of the values that are predicted wrongly.
+        rounds: of simulations that this question asked for, now and before.
+        new: simulations of this call.
+        learned: simulations with an outcome that the classifier learned from.
+    """
+
+    question: Question
+    outcome: str
+    values: FiniteValues
+    known: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
+    doubt: Array
+    wrong: float
+    rounds: tuple[Round, ...]
+    new: int
+    learned: int
+
+    @property
+    def probability(self) -> float:
+        """The probability of the values that are beyond the boundary."""
+        return float(self.values.weight @ self.beyond)
+
+    @property
+    def doubted(self) -> float:
+        """Expected probability of the values that are predicted wrongly, by the classifier's own doubt."""
+        return float(self.values.weight @ self.doubt)
+
+    @property
+    def expected_wrong(self) -> float:
+        """The same, with mistakes of which the classifier is sure, as the check bears them out."""
+        return expected_wrong(self.doubt, self.values.weight, self.checked)
+
+    @cached_property
+    def predicted(self) -> NDArray[np.bool_]:
+        """Which values are predicted, (n,)."""
+        return np.asarray(~self.known & ~self.lost)
+
+    def is_wrong(self, one: Round) -> NDArray[np.bool_]:
+        """Which of a round's predictions its simulations contradict."""
+        rows = np.array(one.rows, dtype=int)
+        return np.asarray(self.known[rows] & (self.beyond[rows] != np.array(one.beyond)))
+
+    @property
+    def checked(self) -> Checked:
+        """What the check found."""
+        return self._counted([one for one in self.rounds if one.predicted])
+
+    def _counted(self, checks: list[Round]) -> Checked:
+        answered = sum(int(self.known[one.rows].sum()) for one in checks)
+        return Checked(answered, sum(int(self.is_wrong(one).sum()) for one in checks))
+
+    @property
+    def most_wrong(self) -> int:
+        """A bound on the number of wrong predictions without the classifier's word, from the check alone."""
+        return most_wrong(int(self.predicted.sum()), self.checked, OF_BOUND)
+
+    @cached_property
+    def _drawn(self) -> Array:
+        return deviations(self.beyond, self.doubt, self.values.weight, self.checked)
+
+    def of_these(self, confidence: float) -> Interval:
+        """The interval of these values."""
+        lost = [float(self.values.weight @ (self.lost & side)) for side in (self.beyond, ~self.beyond)]
+        return of_these(self.probability, self._drawn, (lost[0], lost[1]), confidence)
+
+    def of_others(self, confidence: float) -> Interval | None:
+        """The interval of other values of their kind; None where these are no sample, or of fewer than three groups."""
+        if self.values.group is None:
+            return None
+        found = of_others(self.beyond, self.values.weight, self.values.group, self._drawn, confidence)
+        these = self.of_these(confidence)
+        return found and Interval(min(found.low, these.low), max(found.high, these.high))
+
+
+@dataclass(frozen=True, eq=False)
+class Stripes:
+    """Asks for probabilities over finitely many values, one after another; each teaches the next.
+
+    Attributes:
+        campaign: the campaign.
+        store: its record, open for writing.
+        executor: runs the simulations.
+        learn: the classifier of all recorded simulations.
+        at_once: values that are simulated before the classifier learns again.
+        stage: called with each stage of the work.
+    """
+
+    campaign: Campaign
+    store: Store
+    executor: Executor
+    learn: Callable[[], Classifier]
+    at_once: int = 3
+    stage: Stage = silent
+
+    def ask(self, question: Question, outcome: str, wrong: float) -> Stripe:
+        """Simulate values until the expected probability of wrongly predicted ones is small, and a check agrees.
+
+        The most doubtful values come first. Once the classifier's own doubt is small, some of the remaining
+        predictions, at random, are simulated as a check. The more of them are wrong, the more values are simulated.
+
+        Args:
+            question: with finitely many values.
+            outcome: of the boundary.
+            wrong: accepted expected probability of the values that are predicted wrongly.
+
+        Raises:
+            InputError: if the question has not finitely many values, or the simulator does not repeat.
+            SimulationError: if no simulation of a round gives an outcome.
+        """
+        if not self.campaign.settings.is_repeatable:
+            raise InputError("wrong: requires a simulator that repeats; leave --wrong out where results have noise.")
+        values, began = FiniteValues.of(question), len(History.of(self.store.batches))
+        seed = int(question.digest[:12] or "0", 16)
+        order = stream(self.campaign.settings.seed, "stripe", seed).permutation(len(values))
+        F, kept = finite(self.campaign.features, values.X), _Kept(self.store, ("stripe", question.digest, outcome))
+        while True:
+            stripe = self._stripe(question, outcome, values, F, wrong, kept.rounds(), began)
+            handed_out = are_among(values.X, HandedOut.of(self.store).in_flight.designs)
+            is_open = stripe.predicted & ~handed_out
+            rows = [row for one in stripe.rounds[-1:] for row in one.rows if is_open[row]]
+            if not rows:
+                if not (chosen := self._chosen(stripe, is_open, order)).rows:
+                    return stripe
+                kept.add(chosen)
+                rows = chosen.rows
+            self._simulate(stripe, np.array(rows))
+
+    def by_classifier(self, question: Question, outcome: str) -> float:
+        """The probability by the classifier alone, with what the record knows; nothing is simulated."""
+        values = FiniteValues.of(question)
+        F, began = finite(self.campaign.features, values.X), len(History.of(self.store.batches))
+        return self._stripe(question, outcome, values, F, 1.0, (), began).probability
+
+    def _stripe(
+        self,
+        question: Question,
+        outcome: str,
+        values: FiniteValues,
+        F: Array,
+        wrong: float,
+        rounds: tuple[Round, ...],
+        began: int,
+    ) -> Stripe:
+        """What the record and the classifier say now."""
+        classifier, history = self.learn(), History.of(self.store.batches)
+        severity, simulator = self.campaign.simulator.outcomes.index(outcome), self.campaign.simulator
+        places = {design: place for place, design in enumerate(bits_of(history.designs))}
+        place = np.array([places.get(design, -1) for design in bits_of(values.X)])
+        is_recorded = place >= 0
+        known = is_recorded & (history.outcome[place] != NUMERICAL_FAILURE)
+        moments = classifier.latents[severity - 1].moments(F)
+        impossible = is_recorded & is_impossible(simulator, history.outcome, history.cause)[place]
+        if impossible.any():
+            values = values.without(impossible)
+        return Stripe(
+            question=question,
+            outcome=outcome,
+            values=values,
+            known=known,
+            lost=is_recorded & ~known,
+            beyond=np.where(known, history.outcome[place] >= severity, moments.mean > 0.0),
+            doubt=np.where(is_recorded, 0.0, probability_wrong(moments)),
+            wrong=wrong,
+            rounds=rounds,
+            new=len(history) - began,
+            learned=len(history.training),
+        )
+
+    def _chosen(self, stripe: Stripe, is_open: NDArray[np.bool_], order: NDArray[np.intp]) -> Round:
+        """The next values to simulate; none if the question is answered."""
+        rows: list[int] = []
+        checked, predicted = any(one.predicted for one in stripe.rounds), 0
+        if not checked and stripe.doubted <= stripe.wrong:
+            predicted = int(is_open.sum())
+            size = max(_LEAST_CHECKED, math.ceil(_CHECKED * predicted))
+            rows = order[is_open[order]][:size].tolist()
+        elif stripe.expected_wrong > stripe.wrong:
+            doubtful = np.argsort(-np.where(is_open, stripe.values.weight * stripe.doubt, -1.0), kind="stable")
+            rows = doubtful[is_open[doubtful]][: self.at_once].tolist()
+        return Round(rows, stripe.beyond[rows].tolist(), predicted)
+
+    def _simulate(self, stripe: Stripe, rows: NDArray[np.intp]) -> None:
+        """Simulate values and record the results."""
+        X = stripe.values.X[rows]
+        self.stage(
+            f"simulating {len(X)} of {len(stripe.values)} values of {', '.join(stripe.values.names)}; "
+            f"{percent(stripe.expected_wrong)} expected to be predicted wrongly"
+        )
+        results = self.executor.run(self.campaign.simulator, X)
+        if (results.outcome == NUMERICAL_FAILURE).all() and not is_impossible(
+            self.campaign.simulator, results.outcome, results.cause
+        ).any():
+            raise SimulationError(
+                f"None of the {len(X)} simulations gave an outcome. Their results were discarded."
+                + first_fault_text(results.faults.values())
+            )
+        add(self.campaign, self.store, X, results)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """The rounds of a question in a record."""
+
+    store: Store
+    identity: tuple[str, ...]
+
+    def rounds(self) -> tuple[Round, ...]:
+        found: Any = self.store.recall(self.identity)
+        return tuple(Round(*one) for one in found or ())
+
+    def add(self, one: Round) -> None:
+        self.store.remember(self.identity, [*self.rounds(), one])

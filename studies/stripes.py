@@ -1,0 +1,358 @@
+"""What a probability over finitely many values costs, how wrong it is, and how often its intervals hold.
+
+    python studies/stripes.py --part questions --seeds 3
+    python studies/stripes.py --part designs --seeds 3
+    python studies/stripes.py --part curves --seeds 3
+    python studies/stripes.py --part intervals --repetitions 30
+    python studies/stripes.py --part halves --repetitions 300
+
+`questions`: a bearing under the 44 far-field records of FEMA P695 (needs `activefail[records]`). After a campaign, one
+design after another at one peak ground velocity is asked for with `--wrong`; the truth is the result of all records.
+
+`designs`: the same campaign; `design --wrong` for the smallest D_tot of three bearings, for 10 % and then 2.5 %. A
+result is right if it meets the target under all records, and the next smaller value does not.
+
+`curves`: the same campaign; `fragility --wrong` against PGV of two bearings. The true median and dispersion are those
+of the 44 capacities, to 2 %.
+
+`intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
+population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each
+repetition is a campaign with three questions. The intervals are judged by the share of these values, and of the
+population.
+
+`halves`: the interval of other records from half of the events. The truth is the share of all records, or of the other
+half, which has a sampling error of its own.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr
+from study import asked, head, in_memory, line, percent, spread
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.inquiry import Inquiry
+from activefail.campaign.question import asked_of
+from activefail.campaign.settings import CampaignSettings, checked
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.learning import current
+from activefail.risk.design.by_stripes import STEPS, design_by_stripes
+from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.fragility.by_stripes import fragility_by_stripes
+from activefail.risk.fragility.levels import ladder_of
+from activefail.risk.ida.collapse import fit_lognormal
+from activefail.simulators.interface import Results
+from activefail.stripes.intervals import of_others
+from activefail.stripes.stripe import Stripes
+from activefail.surrogate.threads import one_thread
+
+HERE = Path(__file__).parent
+BEARING = ("T_b", "mu", "D_tot", "h_sl_ratio", "h_rim_ratio", "p", "k")
+OTHERS = {"h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
+
+RECORDS = {
+    "T_b": {"low": 2.5, "high": 5.5},
+    "mu": {"low": 0.02, "high": 0.12},
+    "D_tot": {"low": 0.45, "high": 0.85},
+    "record": {"choices": list(range(44))},
+    "PGV": {"low": 0.3, "high": 3.0, "distribution": "log_uniform"},
+}
+SIZES = (2, 2, 2, 2, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4)
+"""Values in each of 14 groups, as records in the events of the far-field set."""
+
+GROUP = np.repeat(np.arange(len(SIZES)), SIZES)
+
+
+def records():
+    """Motions, events and peak velocities of the far-field set."""
+    if str(HERE.parent / "campaigns") not in sys.path:
+        sys.path.append(str(HERE.parent / "campaigns"))
+    import bearing_records
+
+    return bearing_records.records()
+
+
+def scaled(record, pgv):
+    """The records of designs, scaled, for `simulate_records`."""
+    motions, _, velocities = records()
+    return [motions[int(k)].scaled(v / velocities[int(k)]) for k, v in zip(record, pgv, strict=True)]
+
+
+def rows_of(T_b, mu, D_tot):
+    """Bearings, (n, 7)."""
+    columns = {"T_b": T_b, "mu": mu, "D_tot": D_tot} | OTHERS
+    return np.column_stack([np.broadcast_to(columns[name], np.shape(D_tot)) for name in BEARING])
+
+
+class Simulated:
+    """A simulator of two outcomes by a function of designs, (n, d) -> whether each fails, (n,)."""
+
+    outcomes, causes, margins, releases_gil = ("safe", "failure"), ("",), (), True
+
+    def __init__(self, fails):
+        self.fails = fails
+
+    def run(self, X):
+        n = len(X)
+        outcome = np.asarray(self.fails(X)).astype(np.int8)
+        return Results(outcome, np.zeros(n, dtype=np.int8), np.empty((n, 0)), np.zeros(n))
+
+
+def bearing_fails(X):
+    from activefail.bearing import simulate_records
+
+    T_b, mu, D_tot, record, pgv = X.T
+    return simulate_records(rows_of(T_b, mu, D_tot), scaled(record, pgv), threads=1).outcome == 2
+
+
+def features(X, space):
+    """The design, the velocity, and the two cheap models under the record."""
+    from activefail.bearing.record_features import record_features
+
+    motions, _, velocities = records()
+    T_b, mu, D_tot, record, pgv = space.table(X, tuple(RECORDS)).T
+    which = record.astype(int)
+    physics = record_features(rows_of(T_b, mu, D_tot), motions, which, pgv / velocities[which])
+    return np.column_stack([T_b, mu, D_tot, np.log(pgv), physics])
+
+
+def learned_campaign(fails, space, features, runs, seed):
+    """A campaign in memory, run to its end."""
+    settings = {
+        "seed": seed,
+        "space": space,
+        "sampling": {"initial": 2 * runs // 3, "budget": runs, "batch": 5},
+        "classifier": {"features": features, "kernel": "matern52"},
+        "acquisition": {"boundary": "failure"},
+    }
+    campaign = Campaign.of(checked(CampaignSettings, settings, "study"), HERE, simulator=Simulated(fails))
+    return in_memory(campaign)
+
+
+def asking(found, executor, at_once=3):
+    """What asks, and learns after each round."""
+    kept = [None]
+
+    def learn():
+        kept[0] = current(found.campaign, found.store, True, kept[0])
+        return kept[0].classifier
+
+    return Stripes(found.campaign, found.store, executor, learn, at_once)
+
+
+CONFIDENCE = 0.9
+ROUNDING = 1e-9
+
+
+def holds(interval, truth):
+    return interval is not None and interval.low - ROUNDING <= truth <= interval.high + ROUNDING
+
+
+def questions(options):
+    """Runs and errors of one question after another."""
+    kept = {}
+    low, high = np.array([[one["low"], one["high"]] for one in list(RECORDS.values())[:3]]).T
+    for wrong in options.wrong:
+        for seed in range(options.seeds):
+            of_records = {"python": "stripes:features", "variables": False}
+            found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+            rng = np.random.default_rng(seed)
+            with ThreadExecutor(1) as executor, one_thread():
+                asks = asking(found, executor)
+                for number in range(options.questions):
+                    design = low + rng.random(3) * (high - low)
+                    fixed = dict(zip(("T_b", "mu", "D_tot"), design.tolist(), strict=True)) | {"PGV": options.pgv}
+                    X = np.column_stack([np.tile(design, (44, 1)), np.arange(44.0), np.full(44, options.pgv)])
+                    truth = float(bearing_fails(X).mean())
+                    stripe = asks.ask(asked_of("study", found.campaign.space, {}, fixed), "failure", wrong)
+                    error = 100.0 * abs(stripe.probability - truth)
+                    row = stripe.new, error, holds(stripe.of_these(CONFIDENCE), truth)
+                    kept.setdefault((wrong, number), []).append(row)
+                    print(f"seed {seed} wrong {wrong} question {number + 1}: P {truth:.3f}, {row}", file=sys.stderr)
+    head(
+        "runs before",
+        "wrong",
+        "question",
+        "runs",
+        "mean",
+        "error of P [points]",
+        "mean",
+        "interval holds",
+        "all records",
+    )
+    for (wrong, number), rows in sorted(kept.items()):
+        runs, errors, held = zip(*rows, strict=True)
+        means = f"{np.mean(runs):.1f}", f"{np.mean(errors):.2f}"
+        held = f"{sum(held)} of {len(held)}"
+        line(options.runs, wrong, number + 1, spread(runs, 0), means[0], spread(errors, 1), means[1], held, 44)
+
+
+def designs(options):
+    """Runs and results of one design after another."""
+    grid = np.linspace(RECORDS["D_tot"]["low"], RECORDS["D_tot"]["high"], STEPS + 1)
+    head("seed", "T_b [s]", "mu", "target", "D_tot [m]", "stripes", "runs", "all records", "right")
+    for seed in range(options.seeds):
+        of_records = {"python": "stripes:features", "variables": False}
+        found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+        with ThreadExecutor(1) as executor, one_thread():
+            asks = asking(found, executor)
+            for T_b, mu in ((3.5, 0.06), (4.5, 0.08), (3.0, 0.1)):
+                for target in (0.1, 0.025):
+                    fixed = {"T_b": T_b, "mu": mu, "PGV": options.velocity}
+                    inquiry = Inquiry.of(found.campaign, fixed=fixed, free=["D_tot"])
+                    task = design_task(inquiry, (Requirement("failure", target),))
+                    result = design_by_stripes(asks, task, options.wrong[0])
+                    place, right = result.place, True
+                    for k, meets in ((place, result.meets), (place - 1, False)):
+                        if k >= 0 and (k == place or result.meets):
+                            X = [[T_b, mu, grid[k], record, options.velocity] for record in range(44)]
+                            right &= bool(bearing_fails(np.array(X)).mean() <= target + ROUNDING) == meets
+                    at = f"{grid[place]:.2f}" if result.meets else f"> {grid[-1]:.2f}"
+                    count = len(result.stripes)
+                    line(seed, T_b, mu, target, at, count, result.simulations, 44 * count, "yes" if right else "no")
+
+
+def curves(options):
+    """Runs, and errors of median and dispersion, of one curve after another."""
+    low, high = RECORDS["PGV"]["low"], RECORDS["PGV"]["high"]
+    levels = low * 1.02 ** np.arange(int(np.log(high / low) / np.log(1.02)) + 1)
+    head("seed", "T_b [s]", "mu", "D_tot [m]", "levels", "runs", "all records", "median", "true", "dispersion", "true")
+    for seed in range(options.seeds):
+        of_records = {"python": "stripes:features", "variables": False}
+        found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+        with ThreadExecutor(1) as executor, one_thread():
+            asks = asking(found, executor)
+            for T_b, mu, D_tot in ((3.5, 0.06, 0.6), (4.5, 0.08, 0.7)):
+                X = np.array([[T_b, mu, D_tot, record, level] for level in levels for record in range(44)])
+                fails = bearing_fails(X).reshape(len(levels), 44)
+                first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(levels))
+                exact = fit_lognormal(np.append(0.0, levels)[first], np.append(levels, np.inf)[first])
+                inquiry = Inquiry.of(found.campaign, fixed={"T_b": T_b, "mu": mu, "D_tot": D_tot})
+                ladder = ladder_of(inquiry, against="PGV")
+                curve = fragility_by_stripes(asks, inquiry.question, ladder, "failure", options.wrong[0], CONFIDENCE)
+                fit = curve.fit.fit
+                count = len(curve.levels)
+                found_of = (
+                    f"{fit.median:.2f}",
+                    f"{exact.median:.2f}",
+                    f"{fit.dispersion:.2f}",
+                    f"{exact.dispersion:.2f}",
+                )
+                line(seed, T_b, mu, D_tot, count, curve.simulations, 44 * count, *found_of)
+
+
+MADE_UP = {
+    "x": {"low": -1.0, "high": 2.5},
+    "y": {"low": 0.0, "high": 2.0},
+    "record": {"choices": list(range(44))},
+}
+
+
+class MadeUp:
+    """A limit state 1.4 x + 0.4 y f₁ + 0.7 (e + f₀) + c h > 1.6 with normal e of a group, f and h of a value."""
+
+    def __init__(self, hidden, rng):
+        of_group, self.hidden = rng.normal(size=len(SIZES))[GROUP], hidden
+        f = rng.normal(size=(44, 2))
+        self.seen, self.other = of_group + f[:, 0], f[:, 1]
+        # A part of what is hidden belongs to the group, too.
+        self.unseen = np.sqrt(0.5) * (rng.normal(size=len(SIZES))[GROUP] + rng.normal(size=44))
+
+    def fails(self, X):
+        x, y, record = X.T
+        k = record.astype(int)
+        return 1.4 * x + 0.4 * y * self.other[k] + 0.7 * self.seen[k] + self.hidden * self.unseen[k] > 1.6
+
+    def probability(self, x, y):
+        """Of the population."""
+        return float(ndtr((1.4 * x - 1.6) / np.sqrt(0.16 * y**2 + 0.98 + self.hidden**2)))
+
+    def features(self, X, space):
+        x, y, record = space.table(X, ("x", "y", "record")).T
+        k = record.astype(int)
+        return np.column_stack([x, y, self.seen[k], self.other[k]])
+
+
+CASE = [None]
+"""The present one: a campaign's features are a function of a module."""
+
+
+def made_up_features(X, space):
+    return sys.modules["__main__"].CASE[0].features(X, space)
+
+
+def intervals(options):
+    """How often both intervals hold, and what they cost."""
+    head("hidden", "wrong", "questions", "runs", "error [points]", "wrong where sure", "these hold", "others hold")
+    for hidden in options.hidden:
+        rows = []
+        for seed in range(options.repetitions):
+            rng = np.random.default_rng([seed, int(100 * hidden)])
+            CASE[0] = case = MadeUp(hidden, rng)
+            of_case = {"python": "stripes:made_up_features", "variables": False}
+            found = learned_campaign(case.fails, MADE_UP, of_case, options.runs, seed)
+            with ThreadExecutor(1) as executor, one_thread():
+                asks = asking(found, executor)
+                for _ in range(3):
+                    x, y = rng.uniform(-0.6, 1.2), rng.uniform(0.0, 2.0)
+                    truth = case.fails(np.column_stack([np.full(44, x), np.full(44, y), np.arange(44.0)]))
+                    stripe = asks.ask(
+                        asked_of("study", found.campaign.space, {}, {"x": x, "y": y}), "failure", options.wrong[0]
+                    )
+                    values = replace(stripe.values, group=GROUP)
+                    stripe = replace(stripe, values=values)
+                    rows.append(
+                        (
+                            stripe.new,
+                            100.0 * abs(stripe.probability - truth.mean()),
+                            (stripe.beyond != truth).sum() / max(1, stripe.predicted.sum()),
+                            holds(stripe.of_these(CONFIDENCE), truth.mean()),
+                            holds(stripe.of_others(CONFIDENCE), case.probability(x, y)),
+                        )
+                    )
+            print(f"hidden {hidden} seed {seed}: {rows[-3:]}", file=sys.stderr)
+        runs, errors, wrong, these, others = map(np.array, zip(*rows, strict=True))
+        error = f"{errors.mean():.2f} (to {errors.max():.1f})"
+        line(
+            hidden, options.wrong[0], len(rows), spread(runs, 0), error, percent(wrong), percent(these), percent(others)
+        )
+
+
+def halves(options):
+    """How often the interval of other records from half of the events holds."""
+    head("PGV [m/s]", "D_tot [m]", "P", "all records", "other half", "mean width [points]")
+    events = np.unique(records()[1], return_inverse=True)[1]
+    rng = np.random.default_rng(options.seed)
+    for pgv in (1.2, 1.6, 2.0):
+        for D_tot in (0.5, 0.65, 0.8):
+            X = np.column_stack([np.tile([4.0, 0.06, D_tot], (44, 1)), np.arange(44.0), np.full(44, pgv)])
+            fails, held, others, widths = bearing_fails(X), [], [], []
+            for _ in range(options.repetitions):
+                kept = np.isin(events, rng.permutation(events.max() + 1)[: (events.max() + 1) // 2])
+                group = np.unique(events[kept], return_inverse=True)[1]
+                found = of_others(fails[kept], np.full(kept.sum(), 1.0 / kept.sum()), group, np.zeros(1), CONFIDENCE)
+                held.append(holds(found, fails.mean()))
+                others.append(holds(found, fails[~kept].mean()))
+                widths.append(100.0 * (found.high - found.low))
+            line(pgv, D_tot, f"{fails.mean():.3f}", percent(held), percent(others), f"{np.mean(widths):.0f}")
+
+
+if __name__ == "__main__":
+    options = asked(
+        __doc__,
+        part="questions",
+        seeds=3,
+        seed=1,
+        repetitions=30,
+        runs=60,
+        questions=6,
+        pgv=1.6,
+        velocity=1.2,
+        wrong=[0.01],
+        hidden=[0.0, 0.3, 0.8],
+    )
+    {"questions": questions, "designs": designs, "curves": curves, "intervals": intervals, "halves": halves}[
+        options.part
+    ](options)

@@ -1,0 +1,407 @@
+"""Probabilities over finitely many values: which are simulated, what is kept, and what the intervals say."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.stats import beta, norm
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.finite import FiniteValues
+from activefail.campaign.question import Question, asked_of
+from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.history import History
+from activefail.loop.learning import current
+from activefail.loop.running import run
+from activefail.opening import open_run
+from activefail.parameter import Parameter
+from activefail.record.batch import GIVEN
+from activefail.record.memory import MemoryStore
+from activefail.risk.ida.collapse import fit_lognormal
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.space import Array, DesignSpace
+from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
+from activefail.stripes.stripe import Stripe, Stripes
+from activefail.surrogate.moments import Moments
+from activefail.surrogate.threads import one_thread
+
+VALUES = 30
+
+CAMPAIGN = f"""
+simulator = {{ python = "mine:plane" }}
+seed = 2
+[space]
+x = {{ low = 0.0, high = 4.0 }}
+y = {{ low = 0.0, high = 2.0 }}
+record = {{ choices = {list(range(VALUES))} }}
+[classifier]
+features = {{ expressions = {{ a = "x", b = "y", c = "sin(1.7 * record + 0.4)" }}, variables = false }}
+[sampling]
+initial = 24
+budget = 36
+"""
+
+CODE = """
+import math
+
+def plane(design):
+    fails = design["x"] + 1.3 * math.sin(1.7 * design["record"] + 0.4) - 0.8 * design["y"] >= 1.7
+    return "failure" if fails else "safe"
+"""
+
+
+def fails(X: Array) -> np.ndarray:
+    return np.asarray(X[:, 0] + 1.3 * np.sin(1.7 * X[:, 2] + 0.4) - 0.8 * X[:, 1] >= 1.7)
+
+
+class Plane:
+    """The simulator of `CODE`, which counts, may lose values of the record, and may be interrupted."""
+
+    outcomes, causes, margins, releases_gil = ("safe", "failure"), ("", "lost"), (), True
+
+    def __init__(self, lost: tuple[int, ...] = (), impossible: bool = False) -> None:
+        self.lost, self.rows, self.impossible = lost, 0, (1,) if impossible else ()
+
+    def run(self, X: Array) -> Results:
+        n, lost = len(X), np.isin(X[:, 2], self.lost)
+        self.rows += n
+        outcome = np.where(lost, NUMERICAL_FAILURE, fails(X)).astype(np.int8)
+        return Results(outcome, lost.astype(np.int8), np.empty((n, 0)), np.zeros(n))
+
+
+class Interrupted(ThreadExecutor):
+    """An executor that Ctrl-C ends in its k-th call."""
+
+    def __init__(self, call: int) -> None:
+        super().__init__(1)
+        self.left = call
+
+    def run(self, *arguments: object, **words: object) -> Results:
+        self.left -= 1
+        if not self.left:
+            raise KeyboardInterrupt
+        return super().run(*arguments, **words)  # type: ignore[arg-type]
+
+
+@dataclass
+class Ran:
+    campaign: Campaign
+    store: MemoryStore
+
+    def stripes(self, executor: ThreadExecutor | None = None, learn: Callable[[], object] | None = None) -> Stripes:
+        def learned() -> object:
+            return current(self.campaign, self.store, write=True).classifier
+
+        return Stripes(self.campaign, self.store, executor or ThreadExecutor(1), learn or learned)  # type: ignore[arg-type]
+
+    def question(self, x: float = 2.0) -> Question:
+        return asked_of("", self.campaign.space, {}, {"x": x, "y": 0.5})
+
+    def ask(self, x: float = 2.0, wrong: float = 0.01, **words: object) -> Stripe:
+        with one_thread():
+            return self.stripes(**words).ask(self.question(x), "failure", wrong)  # type: ignore[arg-type]
+
+    @property
+    def history(self) -> History:
+        return History.of(self.store.batches)
+
+
+def ran(simulator: Plane | None = None) -> Ran:
+    campaign = Campaign.of(parse_settings(CAMPAIGN, "c.toml"), simulator=simulator or Plane())
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, 36)
+    return Ran(campaign, store)
+
+
+def truth(x: float, y: float = 0.5) -> float:
+    X = np.column_stack([np.full(VALUES, x), np.full(VALUES, y), np.arange(VALUES)])
+    return float(fails(X).mean())
+
+
+def holds(stripe: Stripe, probability: float) -> bool:
+    low, high = stripe.of_these(0.9)
+    rounding = 1e-9
+    return low - rounding <= probability <= high + rounding
+
+
+# --- the values -----------------------------------------------------------------------------------------------------
+
+
+def test_the_values_are_the_products_of_choices_and_steps_with_their_probabilities() -> None:
+    of_question = {"probabilities": (0.5, 0.0, 0.5), "groups": ("clay", "sand", "clay")}
+    soil = replace(Parameter.of_choices("soil", ("A", "B", "C")), **of_question)  # type: ignore[arg-type]
+    storeys = Parameter("storeys", 1.0, 3.0, distribution="truncated_normal", mean=2.0, sd=0.6, step=1.0)
+    values = FiniteValues.of(Question.of_space(DesignSpace((soil, storeys))))
+    assert values.X.tolist() == [[0, 1], [0, 2], [0, 3], [2, 1], [2, 2], [2, 3]]
+    low, middle = norm.cdf([-0.5 / 0.6, 0.5 / 0.6])
+    tail = norm.cdf(-1.5 / 0.6)
+    of_steps = np.array([low - tail, middle - low, low - tail]) / (1.0 - 2.0 * tail)
+    np.testing.assert_allclose(values.weight, 0.5 * np.tile(of_steps, 2))
+    assert values.group is not None
+    assert len(set(values.group.tolist())) == 1
+    assert FiniteValues.of(Question.of_space(DesignSpace((storeys,)))).group is None
+
+
+def test_only_finitely_many_independent_values_are_enumerated() -> None:
+    x, one, other = Parameter("x", 0.0, 4.0), Parameter("a", 0.0, 3.0, step=1.0), Parameter("b", 0.0, 3.0, step=1.0)
+    tied = (("a", "b", 0.5),)
+    for space, rule in (
+        (DesignSpace((x, one)), "x is continuous. Give it values, such as --fixed x=2, or leave --wrong out"),
+        (
+            DesignSpace((one, other), correlation=tied),
+            "independent variables, but a and b are correlated",
+        ),
+        (DesignSpace((replace(one, high=9999.0),)), "at most 5000 values of a, got 10000"),
+    ):
+        with pytest.raises(InputError) as error:
+            FiniteValues.of(Question.of_space(space))
+        assert rule in str(error.value)
+
+
+# --- the mechanism --------------------------------------------------------------------------------------------------
+
+
+def test_doubtful_values_are_simulated_and_teach_the_next_question() -> None:
+    found = ran()
+    one = found.ask()
+    assert one.probability == pytest.approx(truth(2.0))
+    assert 0 < one.new < VALUES
+    assert one.expected_wrong <= 0.01
+    assert holds(one, truth(2.0))
+    assert one.checked == Checked(3, 0)
+    given = found.history[found.history.origin == GIVEN]
+    assert len(given) == one.new == one.known.sum()
+    assert found.history.asked_for == 36
+    again = found.ask()
+    assert (again.new, again.probability, again.checked) == (0, one.probability, one.checked)
+    further = found.ask(1.7)
+    assert further.probability == pytest.approx(truth(1.7))
+    assert further.learned == 36 + one.new + further.new
+
+
+def test_an_interrupted_question_continues_with_what_was_recorded() -> None:
+    whole, parts = ran(), ran()
+    expected = whole.ask()
+    calls = 1
+    while calls < 10:
+        try:
+            stripe = parts.ask(executor=Interrupted(2))
+            break
+        except KeyboardInterrupt:
+            calls += 1
+    assert calls > 1
+    assert stripe.probability == expected.probability
+    assert stripe.rounds == expected.rounds
+    np.testing.assert_array_equal(parts.history.designs, whole.history.designs)
+
+
+@dataclass(frozen=True)
+class Sure:
+    """A classifier that is sure that nothing fails."""
+
+    latents = ()
+
+    def moments(self, F: Array) -> Moments:
+        return Moments(np.full(len(F), -6.0), np.zeros(len(F)))
+
+
+def test_the_check_catches_a_classifier_that_is_wrong_where_it_is_sure() -> None:
+    found = ran()
+    sure = Sure()
+    object.__setattr__(sure, "latents", (sure,))
+    stripe = found.ask(learn=lambda: sure)
+    assert stripe.doubted < 1e-8
+    assert stripe.checked.wrong
+    assert stripe.probability == pytest.approx(truth(2.0), abs=0.1)
+    assert stripe.predicted.sum() < 0.35 * VALUES
+    assert holds(stripe, truth(2.0))
+
+
+def test_a_value_without_an_outcome_counts_both_ways() -> None:
+    found = ran(Plane(lost=(4,)))
+    stripe = found.ask(wrong=0.0)
+    assert stripe.lost.tolist() == [row == 4 for row in range(VALUES)]
+    low, high = stripe.of_these(0.9)
+    assert high - low == pytest.approx(1.0 / VALUES)
+    assert holds(stripe, truth(2.0))
+
+
+def test_values_that_do_not_exist_have_no_weight() -> None:
+    found = ran(Plane(lost=(4,), impossible=True))
+    stripe = found.ask(wrong=0.0)
+    kept = np.arange(VALUES) != 4
+    X = np.column_stack([np.full(VALUES, 2.0), np.full(VALUES, 0.5), np.arange(VALUES)])
+    assert stripe.probability == pytest.approx(fails(X)[kept].mean())
+    assert stripe.of_these(0.9) == pytest.approx((stripe.probability, stripe.probability))
+
+
+# --- the intervals --------------------------------------------------------------------------------------------------
+
+
+def test_the_interval_of_these_values_knows_only_what_was_seen() -> None:
+    weight, beyond = np.full(40, 1.0 / 40.0), np.arange(40) < 10
+    known = of_these(0.25, deviations(beyond, np.zeros(40), weight, Checked(0, 0)), (0.0, 0.0), 0.9)
+    assert known == (0.25, 0.25)
+    sure = np.where(np.arange(40) < 20, 0.0, 1e-9)
+    widths, expected = [], []
+    for checked in (Checked(15, 0), Checked(3, 0), Checked(3, 1), Checked(3, 2)):
+        low, high = of_these(0.25, deviations(beyond, sure, weight, checked), (0.0, 0.0), 0.9)
+        assert low == 0.25
+        widths.append(high - low)
+        expected.append(expected_wrong(sure, weight, checked))
+    assert sorted(expected) == expected
+    assert sorted(widths) == widths
+    assert widths[-1] > 0.08
+
+
+def test_the_check_alone_bounds_the_number_of_wrong_predictions() -> None:
+    assert most_wrong(20, Checked(0, 0), 0.9) == 20
+    assert most_wrong(0, Checked(3, 0), 0.9) == 0
+    # (6 of 8 right)/(8 of 8 drawn) etc.: with 2 wrong of 4, a check of 2 finds none with 1/6; with 3, never.
+    assert most_wrong(2, Checked(2, 0), 0.9) == 2
+    assert most_wrong(2, Checked(2, 0), 0.8) == 1
+
+
+def test_the_interval_of_others_is_that_of_independent_values_or_of_groups() -> None:
+    weight, exact = np.full(40, 1.0 / 40.0), np.zeros(4)
+    beyond = np.arange(40) < 10
+    single = of_others(beyond, weight, np.arange(40), exact, 0.9)
+    assert single is not None
+    assert single == pytest.approx((beta.ppf(0.05, 10, 31), beta.ppf(0.95, 11, 30)), abs=0.01)
+    grouped = of_others(beyond, weight, np.arange(40) // 5, exact, 0.9)
+    assert grouped is not None
+    assert grouped.high - grouped.low > 1.8 * (single.high - single.low)
+    none = of_others(np.zeros(40, dtype=bool), weight, np.arange(40) // 5, exact, 0.9)
+    assert none is not None
+    assert none.low == 0.0
+    assert none.high > 1.0 - 0.05 ** (1.0 / 8.0)
+    assert of_others(beyond, weight, np.arange(40) // 20, exact, 0.9) is None
+    # The classifier's doubt widens it.
+    doubted = of_others(beyond, weight, np.arange(40), np.random.default_rng(0).normal(size=4000, scale=0.1), 0.9)
+    assert doubted is not None
+    assert doubted.high - doubted.low > 1.3 * (single.high - single.low)
+
+
+# --- the command ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from ran import ran_in
+
+    return ran_in(tmp_path_factory.mktemp("stripes"), CAMPAIGN, CODE)
+
+
+def test_the_command_names_both_intervals_and_its_json_has_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    words = ("probability", folder / "run", "--code", folder, "--fixed", "x=2,y=0.5", "--wrong", "0.02")
+    shown = activefail(*words)
+    assert shown.code == 0, shown.err
+    lines = shown.out.splitlines()
+    assert lines[0].startswith("probability of failure at x = 2.0, y = 0.5: 0.")
+    assert f"the {VALUES} values of record" in lines[1]
+    assert f"over {VALUES} groups" in lines[2]
+    numbers = json.loads(activefail(*words, "--json").out)["outcomes"]["failure"]
+    assert numbers["simulations"] == 0
+    assert numbers["simulated"] + numbers["predicted"] == numbers["values"] == VALUES
+    assert numbers["low"] <= numbers["probability"] <= numbers["high"]
+    assert numbers["others"]["low"] < numbers["low"]
+    assert numbers["others"]["high"] > numbers["high"]
+    assert activefail("status", folder / "run").out.count("given") == 1
+    with open_run(folder / "run", write=True, code=folder) as opened:
+        assert opened.probability(fixed={"x": 2.0, "y": 0.5}, wrong=0.02).as_json()["outcomes"]["failure"] == numbers
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (("--fixed", "x=2"), "y is continuous. Give it values, such as --fixed y=1, or leave --wrong out"),
+        (("--fixed", "x=2,y"), "fixed: must be a file, or values such as T_b=4.0,mu=0.05, got 'y'"),
+        (("--fixed", "x=2,z=1"), "z: is not a variable of the campaign"),
+        (("--fixed", "x=2,y=0.5,record=77"), "record: must be one of 0, 1"),
+        (("--fixed", "x=2,y=0.5,record=3"), "fixes every variable"),
+    ],
+)
+def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ...], rule: str) -> None:
+    refused(activefail("probability", folder / "run", "--code", folder, "--wrong", "0.01", *words), rule)
+
+
+# --- design ---------------------------------------------------------------------------------------------------------
+
+
+def test_design_finds_the_smallest_value_that_meets_its_target_in_few_simulations(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    words = ("design", folder / "run", "--code", folder, "--fixed", "x=2", "--free", "y", "--wrong", "0.01")
+    shown = activefail(*words, "--target", "20%", "--json", "--out", tmp_path / "out")
+    assert shown.code == 0, shown.err
+    numbers = json.loads(shown.out)
+    grid = np.linspace(0.0, 2.0, 41)
+    smallest = min(y for y in grid if truth(2.0, y) <= 0.2 + 1e-9)
+    assert numbers["bearing"] == {"x": 2.0, "y": pytest.approx(smallest)}
+    assert numbers["outcomes"]["failure"]["probability"] == pytest.approx(truth(2.0, smallest))
+    assert numbers["simulations"] < VALUES * len(numbers["tried"]) / 2
+    again = activefail(*words, "--target", "20%")
+    assert f"y = {smallest:.4g}" in again.out.splitlines()[0]
+    assert "0 simulations now" in again.out
+    design = (tmp_path / "out" / "design.toml").read_text(encoding="utf-8")
+    assert f"\ny = {smallest:.4g}\n" in design
+    words = ("design", folder / "run", "--code", folder, "--fixed", "x=4", "--free", "y", "--wrong", "0.05")
+    unreachable = activefail(*words, "--target", "1%")
+    assert unreachable.code == 3
+    assert "No y within the campaign's range meets the target" in unreachable.out
+
+
+def test_design_by_stripes_has_one_free_variable(folder: Path) -> None:
+    words = ("design", folder / "run", "--code", folder, "--wrong", "0.01", "--target", "0.2")
+    refused(activefail(*words, "--free", "x,y"), "wrong: requires one free variable")
+    refused(activefail(*words, "--free", "y"), "x is continuous")
+
+
+# --- fragility ------------------------------------------------------------------------------------------------------
+
+
+def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    words = ("fragility", folder / "run", "--code", folder, "--fixed", "y=1", "--against", "x", "--wrong", "0.01")
+    shown = activefail(*words, "--json", "--range", "0.8,3.8", "--out", tmp_path / "out")
+    assert shown.code == 0, shown.err
+    numbers = json.loads(shown.out)
+    for one in numbers["levels"]:
+        assert one["probability"] == pytest.approx(truth(one["level"], 1.0), abs=1.01 / VALUES)
+    capacity = 2.5 - 1.3 * np.sin(1.7 * np.arange(VALUES) + 0.4)
+    exact = fit_lognormal(capacity * 0.999, capacity)
+    assert exact is not None
+    assert numbers["lognormal"]["median"] == pytest.approx(exact.median, rel=0.06)
+    assert numbers["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.25)
+    low, high = numbers["lognormal"]["median_interval"]
+    assert low < exact.median < high
+    assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2
+    assert json.loads((tmp_path / "out" / "fragility.json").read_text())["levels"] == numbers["levels"]
+    table = activefail(*words, "--range", "0.8,3.8", "--csv", "-")
+    assert table.out.splitlines()[0] == "x,probability,low,high,others_low,others_high,simulated,predicted"
+    assert len(table.out.splitlines()) == 1 + len(numbers["levels"])
+    again = activefail(*words, "--range", "0.8,3.8")
+    assert again.out.splitlines()[0] == "probability of failure against x at y = 1.0"
+    assert any(line.startswith("median") for line in again.out.splitlines())
+
+
+def test_a_curve_by_stripes_has_a_variable_and_nothing_else_to_verify(folder: Path) -> None:
+    words = ("fragility", folder / "run", "--code", folder, "--wrong", "0.01", "--against", "x")
+    refused(
+        activefail(*words, "--fixed", "y=1", "--verify", "100"), "wrong: requires against, without hazard and verify"
+    )
+    refused(activefail(*words), "y is continuous")
+    flat = activefail(*words, "--fixed", "y=1", "--range", "0,0.2")
+    assert flat.code == 2
+    assert "choose others with --range" in flat.err
