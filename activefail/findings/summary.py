@@ -205,7 +205,7 @@ class Summary:
             corrected: number of its corrections.
         """
         flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
-        is_flag = len(schema.margins) == 1 and {*history.margins[history.outcome >= 0, 0].tolist()} == {0.0, 1.0}
+        is_flag = len(schema.margins) == 1 and {*history.margins[history.outcome >= 0].ravel().tolist()} == {0.0, 1.0}
         initial, given = history.initial, history.origin == GIVEN
         return cls(
             settings,
