@@ -690,5 +690,7 @@ def asking_stripes(run: "Run", at_once: int, executor: "Executor | None", stage:
 
     run._check_initial_design()
     with nullcontext(executor) if executor else run._shown_executor() as pool, run._turn, one_thread():
-        yield Stripes(run.campaign, run.store, pool, lambda: run.learn(stage).classifier, at_once, stage)
-        run._predicts = None
+        try:
+            yield Stripes(run.campaign, run.store, pool, lambda: run.learn(stage).classifier, at_once, stage)
+        finally:
+            run._predicts = None

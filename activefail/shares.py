@@ -30,14 +30,22 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def alike(value: float, *others: float) -> list[str]:
     """Probabilities with as many digits after the point as three digits of the first, or of the largest if it is 0.
 
-    Below 0.001 all have its power of ten: ["1.22·10⁻⁴", "1.19·10⁻⁴", "1.24·10⁻⁴"].
+    Below 0.001 all have its power of ten: ["1.22·10⁻⁴", "1.19·10⁻⁴", "1.24·10⁻⁴"]. A number more than a hundred times
+    smaller or larger has its own.
     """
     of = value or max(others, default=0.0)
     rest = min(of, 1.0 - of)
     exponent = math.floor(math.log10(rest)) if rest > 0.0 else -2
     power = f"·10{str(exponent).translate(_RAISED)}" if rest == of and exponent < -3 else ""
     scale, places = (10.0**-exponent, 2) if power else (1.0, min(2 - exponent, 8))
-    return [f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
+    apart = [p for p in others if p and not 1e-2 < p / of < 1e2 and (power or p < 1e-3)]
+    return [_alone(p) if p in apart else f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
+
+
+def _alone(p: float) -> str:
+    """A probability with a power of its own, if it needs one."""
+    exponent = math.floor(math.log10(p))
+    return f"{p:.3g}" if exponent >= -3 else f"{p * 10.0**-exponent:.2f}·10{str(exponent).translate(_RAISED)}"
 
 
 def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[float, float]:

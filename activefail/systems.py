@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri_exp
 
 from activefail.space import Array
 
@@ -69,6 +68,8 @@ class System:
         return np.clip(self._probit(np.asarray(z)), -CERTAIN, CERTAIN)
 
     def _probit(self, z: Array) -> Array:
+        from scipy.special import log_ndtr
+
         for mode in self._repeated:
             if np.isfinite(z[:, mode]).all():  # either it has failed, or not
                 log_p, log_q = log_ndtr(z[:, mode]), log_ndtr(-z[:, mode])
@@ -96,6 +97,8 @@ def _folded(node: Node | int, margins: Array) -> Array:
 
 
 def _probit_at(node: Node | int, z: Array) -> Array:
+    from scipy.special import log_ndtr, ndtri_exp  # settings, which `status` reads, import this module
+
     if isinstance(node, int):
         return z[..., node]
     sign = -1.0 if node.is_series else 1.0
@@ -105,6 +108,8 @@ def _probit_at(node: Node | int, z: Array) -> Array:
 
 def _probit_of(log_p: Array, log_q: Array) -> Array:
     """The probit of a probability p, of log p and log (1 - p), whichever is smaller."""
+    from scipy.special import ndtri_exp
+
     return np.asarray(np.where(log_p < log_q, ndtri_exp(np.minimum(log_p, 0.0)), -ndtri_exp(np.minimum(log_q, 0.0))))
 
 

@@ -26,12 +26,14 @@ half, which has a sampling error of its own.
 
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtr
 from study import asked, head, in_memory, line, percent, spread
 
+from activefail.accelerogram_sets import read_record_set
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import asked_of
@@ -65,13 +67,12 @@ SIZES = (2, 2, 2, 2, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4)
 GROUP = np.repeat(np.arange(len(SIZES)), SIZES)
 
 
+@cache
 def records():
     """Motions, events and peak velocities of the far-field set."""
-    if str(HERE.parent / "campaigns") not in sys.path:
-        sys.path.append(str(HERE.parent / "campaigns"))
-    import bearing_records
-
-    return bearing_records.records()
+    found = read_record_set(Path("farfield"), None, None).records
+    motions = [one.motion for one in found]
+    return motions, [one.event for one in found], np.array([motion.peak_velocity for motion in motions])
 
 
 def scaled(record, pgv):

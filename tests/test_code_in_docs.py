@@ -149,9 +149,10 @@ def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, mo
         assert done.code == 0, f"{command}\n{done.err}"
         said.append(done.out)
     assert "stop rule  met" in said[0]
-    own, question = (float(out.partition("\n")[0].rpartition(": ")[2]) for out in said[1:])
+    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    shown = [out.partition("\n")[0].rpartition(": ")[2].translate(digits).replace("·10", "e") for out in said[1:]]
     # Heavier loads on a longer span.
-    assert 0.0 < own < question < 1.0
+    assert 0.0 < float(shown[0]) < float(shown[1]) < 1.0
 
 
 def test_the_system_of_the_page_on_probabilities_gives_the_shares_there(

@@ -51,11 +51,12 @@ class FiniteValues:
             is_possible = (weight > 0.0) & rows.meets_constraints(U)
             if not is_possible.any():
                 raise InputError("constraints: no value of the question meets them.")
-            labels = [_groups(one.groups, len(one.values))[place] for one, place in pairs if one.choices]
+            # Records are a sample if there are any; otherwise a single variable's choices. Pairs are not independent.
+            sampled = [pair for pair in pairs if pair[0].groups is not None] or [p for p in pairs if p[0].choices]
             U, weight, group = U[is_possible], weight[is_possible], None
-            if labels:
-                labelled = np.column_stack(labels)[is_possible]
-                group = np.unique(labelled, axis=0, return_inverse=True)[1].ravel()
+            if len(sampled) == 1:
+                ((one, place),) = sampled
+                group = np.unique(_groups(one.groups, len(one.values))[place][is_possible], return_inverse=True)[1]
         if len(U) > MOST:
             raise InputError(f"wrong: requires at most {MOST} values of {_listed(rows.names)}, got {len(U)}.")
         return cls(tuple(rows.names), question.designs(U), weight / weight.sum(), group)

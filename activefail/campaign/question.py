@@ -74,13 +74,17 @@ class Question:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What the distribution assumes or leaves out, as sentences."""
+        return self.stated_of()
+
+    def stated_of(self, of_values: bool = False) -> tuple[str, ...]:
+        """The same; `of_values`: for an answer that has an interval of other records, too."""
         if isinstance(self.space, WeightedRows):
             return self.stated
         notes = [
             f"{one.name}: the probability and its interval are those of these {records_in_words(one)}, not of other "
             "earthquakes."
             for one in self.space.parameters
-            if one.groups is not None
+            if one.groups is not None and not of_values
         ]
         if self.space.constraints:
             share = feasible_share(self.space)
@@ -316,6 +320,8 @@ def _written(text: str, space: DesignSpace) -> dict[str, Any]:
     with_choices = {one.name for one in space.parameters if one.choices}
     for part in text.split(","):
         name, _, word = (piece.strip() for piece in part.partition("="))
+        if name in values:
+            raise InputError(f"fixed: {name} has two values.")
         try:
             values[name] = word if name in with_choices else number_in(word)
         except ValueError:

@@ -36,7 +36,10 @@ class StripeFindings:
     def of(cls, campaign: Campaign, stripe: Stripe, confidence: float) -> "StripeFindings":
         """The findings of a campaign."""
         question, simulator = stripe.question, campaign.simulator
-        assumed = (*question.assumptions, *limits_of(simulator))
+        assumed = (*question.stated_of(of_values=True), *limits_of(simulator))
+        if outside := int((~campaign.space.contains(stripe.values.X)).sum()):
+            text = f"{outside} of the {len(stripe.values)} values are outside the design space, where the classifier "
+            assumed = (f"{text}extrapolates.", *assumed)
         return cls(stripe, tuple(simulator.outcomes), confidence, campaign.space.written(question.fixed), assumed)
 
     @property
@@ -84,7 +87,7 @@ class StripeFindings:
         else:
             rows.append(("others", f"no interval: {self.why_no_others}"))
         rows += [
-            ("from", f"{simulated} simulated ({stripe.new} now) and {predicted} predicted{lost}"),
+            ("from", f"{simulated} simulated ({stripe.new} runs now) and {predicted} predicted{lost}"),
             (
                 "wrong",
                 f"{percent(stripe.expected_wrong, 2)} expected to be predicted wrongly, of which "
@@ -111,7 +114,7 @@ class StripeFindings:
                 "results with `activefail tell`, or drop them; then ask again."
             )
         if stripe.checked.wrong:
-            sentences.append("The check contradicted the classifier, so more values were simulated.")
+            sentences.append("The check contradicted the classifier.")
         return [*sentences, *self.of_question]
 
     def as_json(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from activefail.space import Array
 
-_PRIOR = (0.25, 24.75)
+_PRIOR = (0.05, 4.95)
 """Beta prior of the share θ of predictions that are wrong although the classifier is sure of them: 1 % on average, and
 more than 5 % for one question in twenty. `studies/stripes.py` measures this share, and the intervals that follow."""
 
@@ -32,14 +32,16 @@ class Checked(NamedTuple):
     wrong: int
 
 
-def expected_wrong(doubt: Array, weight: Array, checked: Checked) -> float:
+def expected_wrong(predicted: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked) -> float:
     """Expected probability of the values that are predicted wrongly (see `deviations`)."""
     a, b = _PRIOR
     theta = (a + checked.wrong) / (a + b + checked.simulated)
-    return float(weight @ np.where(doubt > 0.0, doubt + (1.0 - 2.0 * doubt) * theta, 0.0))
+    return float(weight @ np.where(predicted, doubt + (1.0 - 2.0 * doubt) * theta, 0.0))
 
 
-def deviations(beyond: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked) -> Array:
+def deviations(
+    beyond: NDArray[np.bool_], predicted: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked
+) -> Array:
     """Draws of the probability of these values minus the predicted one, (draws,).
 
     A prediction is wrong with its doubt q, and with the probability θ although the classifier is sure: q + (1 − 2q) θ.
@@ -47,11 +49,11 @@ def deviations(beyond: NDArray[np.bool_], doubt: Array, weight: Array, checked: 
 
     Args:
         beyond: (n,) on which side of the boundary each value is, or is predicted.
-        doubt: (n,) the classifier's probability that this is wrong; 0 where it is known.
+        predicted: (n,) whether it is predicted.
+        doubt: (n,) the classifier's probability that this is wrong.
         weight: (n,) probabilities of the values.
         checked: by random predictions.
     """
-    predicted = doubt > 0.0
     rng = np.random.default_rng(0)
     a, b = _PRIOR
     theta = rng.beta(a + checked.wrong, b + checked.simulated - checked.wrong, size=(_DRAWS, 1))
@@ -96,10 +98,13 @@ def of_others(
     count = int((of_group > 0.0).sum())
     if count < _LEAST_GROUPS:
         return None
-    probability = float(weight @ beyond)
+    sides = beyond[weight > 0.0]
+    probability = 1.0 if sides.all() else float(weight @ beyond)
     residual = np.bincount(group, weight * (beyond - probability))
-    between = float(residual @ residual) * count / (count - 1)
-    values = 1.0 / float((weight if between > 0.0 else of_group) @ (weight if between > 0.0 else of_group))
+    agree = bool(sides.all() or not sides.any())
+    between = 0.0 if agree else float(residual @ residual) * count / (count - 1)
+    counted = of_group if agree else weight
+    values = 1.0 / float(counted @ counted)
     # Predictions that may be wrong move the probability away from 0 or 1.
     centre = float(np.clip(probability + drawn.mean(), 0.0, 1.0))
     variance, tail = between + float(drawn.var()), 0.5 + 0.5 * confidence

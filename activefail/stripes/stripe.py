@@ -97,7 +97,7 @@ class Stripe:
     @property
     def probability(self) -> float:
         """The probability of the values that are beyond the boundary."""
-        return float(self.values.weight @ self.beyond)
+        return min(1.0, float(self.values.weight @ self.beyond))
 
     @property
     def doubted(self) -> float:
@@ -107,12 +107,12 @@ class Stripe:
     @property
     def expected_wrong(self) -> float:
         """The same, with mistakes of which the classifier is sure, as the check bears them out."""
-        return expected_wrong(self.doubt, self.values.weight, self.checked)
+        return expected_wrong(self.predicted, self.doubt, self.values.weight, self.checked)
 
     @cached_property
     def predicted(self) -> NDArray[np.bool_]:
         """Which values are predicted, (n,)."""
-        return np.asarray(~self.known & ~self.lost)
+        return np.asarray(~self.known & ~self.lost & (self.values.weight > 0.0))
 
     def is_wrong(self, one: Round) -> NDArray[np.bool_]:
         """Which of a round's predictions its simulations contradict."""
@@ -135,7 +135,7 @@ class Stripe:
 
     @cached_property
     def _drawn(self) -> Array:
-        return deviations(self.beyond, self.doubt, self.values.weight, self.checked)
+        return deviations(self.beyond, self.predicted, self.doubt, self.values.weight, self.checked)
 
     def of_these(self, confidence: float) -> Interval:
         """The interval of these values."""
@@ -184,14 +184,17 @@ class Stripes:
 
         Raises:
             InputError: if the question has not finitely many values, or the simulator does not repeat.
-            SimulationError: if no simulation of a round gives an outcome.
+            SimulationError: if no simulation of the first two rounds gives an outcome.
         """
         if not self.campaign.settings.is_repeatable:
             raise InputError("wrong: requires a simulator that repeats; leave --wrong out where results have noise.")
         values, began = FiniteValues.of(question), len(History.of(self.store.batches))
         seed = int(question.digest[:12] or "0", 16)
         order = stream(self.campaign.settings.seed, "stripe", seed).permutation(len(values))
-        F, kept = finite(self.campaign.features, values.X), _Kept(self.store, ("stripe", question.digest, outcome))
+        F, kept = (
+            finite(self.campaign.features, values.X),
+            _Kept(self.store, ("stripe", question.digest, outcome, f"{wrong:g}")),
+        )
         while True:
             stripe = self._stripe(question, outcome, values, F, wrong, kept.rounds(), began)
             handed_out = are_among(values.X, HandedOut.of(self.store).in_flight.designs)
@@ -236,7 +239,7 @@ class Stripes:
             outcome=outcome,
             values=values,
             known=known,
-            lost=is_recorded & ~known,
+            lost=is_recorded & ~known & ~impossible,
             beyond=np.where(known, history.outcome[place] >= severity, moments.mean > 0.0),
             doubt=np.where(is_recorded, 0.0, probability_wrong(moments)),
             wrong=wrong,
@@ -266,9 +269,9 @@ class Stripes:
             f"{percent(stripe.expected_wrong)} expected to be predicted wrongly"
         )
         results = self.executor.run(self.campaign.simulator, X)
-        if (results.outcome == NUMERICAL_FAILURE).all() and not is_impossible(
-            self.campaign.simulator, results.outcome, results.cause
-        ).any():
+        # One such round is recorded: these values may be the ones that never converge.
+        none_before = stripe.lost.any() and not stripe.known.any()
+        if none_before and (results.outcome == NUMERICAL_FAILURE).all():
             raise SimulationError(
                 f"None of the {len(X)} simulations gave an outcome. Their results were discarded."
                 + first_fault_text(results.faults.values())

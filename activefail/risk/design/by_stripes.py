@@ -68,7 +68,7 @@ class DesignByStripes:
         """What the result is, in one sentence."""
         name = self.task.free[0]
         if not self.meets:
-            return f"No {name} within the campaign's range meets the target under these values; this is the largest."
+            return f"This largest {name} of the campaign's range does not meet the target under these values."
         if self.place == 0:
             return f"The least {name} of the campaign's range meets the target under these values."
         probabilities = ", ".join(f"{100.0 * one.probability:.3g} %" for one in self.stripes[self.place - 1])

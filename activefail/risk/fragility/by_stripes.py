@@ -74,6 +74,9 @@ class FragilityByStripes:
             return None
         return fitted(*self.brackets, list(map(str, self._group.tolist())))
 
+    def _of_groups(self, ends: tuple[float, float] | tuple[()]) -> tuple[float, float] | tuple[()]:
+        return () if self.stripes[0].values.group is None else ends
+
     @property
     def simulations(self) -> int:
         """Of this command."""
@@ -97,8 +100,9 @@ class FragilityByStripes:
         if self.fit is None:
             texts.append(("lognormal", "none: the levels do not bound it, or the values are not equally probable"))
         else:
-            texts.append(("median", f"{self.fit.fit.median:.4g}{unit}{_ends(self.fit.median)}"))
-            texts.append(("dispersion", f"{self.fit.fit.dispersion:.3g}{_ends(self.fit.dispersion)}"))
+            texts.append(("median", f"{self.fit.fit.median:.4g}{unit}{_ends(self._of_groups(self.fit.median))}"))
+            texts.append(("dispersion", f"{self.fit.fit.dispersion:.3g}{_ends(self._of_groups(self.fit.dispersion))}"))
+            texts.append(("", "predictions count as right in both"))
         count = len(self.stripes) * len(self.stripes[0].values)
         texts.append(("from", f"{self.simulations} simulations now, of {count} in all"))
         texts += [("note", sentence) for sentence in one.of_question]
@@ -121,8 +125,8 @@ class FragilityByStripes:
                 and {
                     "median": fit.fit.median,
                     "dispersion": fit.fit.dispersion,
-                    "median_interval": list(fit.median) or None,
-                    "dispersion_interval": list(fit.dispersion) or None,
+                    "median_interval": list(self._of_groups(fit.median)) or None,
+                    "dispersion_interval": list(self._of_groups(fit.dispersion)) or None,
                     "confidence": CONFIDENCE,
                 },
             }

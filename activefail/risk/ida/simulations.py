@@ -220,7 +220,7 @@ class CampaignSubject:
     @property
     def identity(self) -> dict[str, Any]:
         """What the outcomes depend on and that is known, as for `BearingSubject`."""
-        names = {"python", "command", "outcomes", "margins", "levels"}
+        names = {"python", "command", "outcomes", "margins", "levels", "system", "lost", "pattern", "output"}
         settings = self.campaign.settings.model_dump(mode="json", include={"simulator": names})
         return {**settings, "code": self.campaign.sources}
 
