@@ -277,7 +277,7 @@ class ProbabilityFindings:
         if estimate.modes:
             sentences.append(
                 "A mode decides the failures that would not occur without it. Its shares have "
-                f"{100 * estimate.confidence:g} % intervals each; runs without a result count as predicted."
+                f"{100 * estimate.confidence:g} % intervals each; runs without a result count as predicted, or as safe."
             )
         if not self.repeatable:
             sentences.append(

@@ -245,6 +245,30 @@ def test_values_that_do_not_exist_have_no_weight() -> None:
 # --- the intervals --------------------------------------------------------------------------------------------------
 
 
+def test_a_wrong_check_counts_for_predictions_of_which_the_classifier_has_no_doubt_at_all() -> None:
+    weight, predicted, doubt = np.full(40, 1.0 / 40.0), np.arange(40) >= 4, np.zeros(40)
+    assert expected_wrong(predicted, doubt, weight, Checked(4, 1)) > 0.05
+    assert deviations(np.zeros(40, bool), predicted, doubt, weight, Checked(4, 1)).max() > 0.2
+
+
+def test_the_interval_of_others_is_the_same_for_all_beyond_as_for_none() -> None:
+    weight, group, drawn = np.full(44, 1.0 / 44.0), np.arange(44) % 14, np.zeros(4000)
+    every, none = (of_others(np.full(44, side), weight, group, drawn, 0.9) for side in (True, False))
+    assert every is not None
+    assert none is not None
+    assert (every.low, every.high) == pytest.approx((1.0 - none.high, 1.0))
+
+
+def test_pairs_of_choices_are_no_sample_of_others_but_those_of_records_with_them_are() -> None:
+    soil = Parameter.of_choices("soil", ("A", "B"), (0.5, 0.5))
+    record = Parameter.of_choices("record", ("a", "b", "c", "d"), (0.25,) * 4)
+    events = replace(record, groups=("1", "1", "2", "3"))
+    for choices, groups in (((soil, record), None), ((soil, events), 3), ((record,), 4)):
+        space = DesignSpace(choices)
+        group = FiniteValues.of(asked_of("", space, {}, {})).group
+        assert groups == (None if group is None else len(set(group.tolist())))
+
+
 def test_the_interval_of_these_values_knows_only_what_was_seen() -> None:
     weight, beyond = np.full(40, 1.0 / 40.0), np.arange(40) < 10
     known = of_these(0.25, deviations(beyond, np.zeros(40, bool), np.zeros(40), weight, Checked(0, 0)), (0.0, 0.0), 0.9)
@@ -357,7 +381,7 @@ def test_design_finds_the_smallest_value_that_meets_its_target_in_few_simulation
     words = ("design", folder / "run", "--code", folder, "--fixed", "x=4", "--free", "y", "--wrong", "0.05")
     unreachable = activefail(*words, "--target", "1%")
     assert unreachable.code == 3
-    assert "No y within the campaign's range meets the target" in unreachable.out
+    assert "This largest y of the campaign's range does not meet the target" in unreachable.out
 
 
 def test_design_by_stripes_has_one_free_variable(folder: Path) -> None:
