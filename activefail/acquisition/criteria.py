@@ -107,8 +107,7 @@ class _LabelCovariance(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, a: Tensor, b: Tensor, rho: Tensor) -> Tensor:
-        a, b, rho = torch.broadcast_tensors(a, b, rho)
-        ctx.save_for_backward(a, b, rho)
+        ctx.save_for_backward(*torch.broadcast_tensors(a, b, rho))
         x, y = (_off_zero(z.clamp(-_FARTHEST, _FARTHEST)) for z in (a, b))
         root = ((1.0 - rho) * (1.0 + rho)).clamp_min(1e-15).sqrt()
         of_x, of_y = (owens_t(p.numpy(), ((q / p - rho) / root).numpy()) for p, q in ((x, y), (y, x)))
