@@ -24,7 +24,8 @@ def percent(share: float, digits: int = 1) -> str:
     return "< 0.000001 %" if share < 0.5 else "> 99.999999 %"
 
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
+"""Digits of a power."""
 
 
 def alike(value: float, *others: float) -> list[str]:
@@ -36,16 +37,22 @@ def alike(value: float, *others: float) -> list[str]:
     of = value or max(others, default=0.0)
     rest = min(of, 1.0 - of)
     exponent = math.floor(math.log10(rest)) if rest > 0.0 else -2
-    power = f"·10{str(exponent).translate(_RAISED)}" if rest == of and exponent < -3 else ""
+    power = f"·10{str(exponent).translate(RAISED)}" if rest == of and exponent < -3 else ""
     scale, places = (10.0**-exponent, 2) if power else (1.0, min(2 - exponent, 8))
     apart = [p for p in others if p and not 1e-2 < p / of < 1e2 and (power or p < 1e-3)]
-    return [_alone(p) if p in apart else f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
+    return [significant(p) if p in apart else f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
 
 
-def _alone(p: float) -> str:
-    """A probability with a power of its own, if it needs one."""
-    exponent = math.floor(math.log10(p))
-    return f"{p:.3g}" if exponent >= -3 else f"{p * 10.0**-exponent:.2f}·10{str(exponent).translate(_RAISED)}"
+def significant(value: float, digits: int = 3) -> str:
+    """Format a number for a table: a few significant digits, a power of ten only if very large or small."""
+    if value == 0.0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - int(f"{abs(value):e}".split("e")[1]))
+        return f"{value:.{places}f}".replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    raised = str(int(exponent)).translate(RAISED)
+    return f"{mantissa.replace('-', '−')}·10{raised}"
 
 
 def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[float, float]:

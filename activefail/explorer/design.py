@@ -21,7 +21,7 @@ from activefail.explorer.verification import STEPS, Verification
 from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_required_value
 from activefail.figures.svg import inline
-from activefail.findings.quantities import Quantity, plain, significant
+from activefail.findings.quantities import Quantity, plain
 from activefail.progress import Begin
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import Boundaries, Standardised, boundary_of, existence
@@ -30,7 +30,7 @@ from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Req
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value
 from activefail.risk.design.search import find_design
-from activefail.shares import percent
+from activefail.shares import percent, significant
 from activefail.simulators.bearing import terms_of
 from activefail.space import Array
 from activefail.verification.probability_estimator import Estimator

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from activefail.figures.axes import legend_outside, outcome_colour, outcome_marker, panel, plain_log
 from activefail.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, ORANGE, VERMILION, styled
-from activefail.findings.quantities import Quantity, plain, quantity, significant, words
+from activefail.findings.quantities import Quantity, plain, quantity, words
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.stored import StoredDesign
@@ -20,6 +20,7 @@ from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindi
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import Move
 from activefail.risk.sensitivity.sobol import Index
+from activefail.shares import significant
 
 _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 """Labels in a decade of an axis."""

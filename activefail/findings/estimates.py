@@ -9,11 +9,11 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
 from activefail.findings.learned_from import source_in_words
 from activefail.findings.lines import titled
-from activefail.findings.quantities import significant, words
+from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ModeShare, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
-from activefail.shares import alike, interval_percent, percent
+from activefail.shares import alike, interval_percent, percent, significant
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier

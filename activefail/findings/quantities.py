@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from activefail.campaign.assembly import Campaign
+from activefail.shares import RAISED
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import visible
 from activefail.visible import words as words
@@ -40,12 +41,9 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-_RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
 def _typeset(unit: str) -> str:
     """A unit with superscripts: m/s^2 as m/s², N/m^1.5 as N/m¹·⁵."""
-    return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(_RAISED), visible(unit))
+    return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(RAISED), visible(unit))
 
 
 _KNOWN = {
@@ -135,15 +133,3 @@ def features(campaign: Campaign) -> list[Quantity]:
     known = by_name(campaign)
     describe = quantity if isinstance(campaign.settings.classifier.features, str) else custom_quantity
     return [known.get(name) or describe(name) for name in campaign.features.names]
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """Format a number for a table: a few significant digits, a power of ten only if very large or small."""
-    if value == 0.0:
-        return "0"
-    if 1e-3 <= abs(value) < 1e5:
-        places = max(0, digits - 1 - int(f"{abs(value):e}".split("e")[1]))
-        return f"{value:.{places}f}".replace("-", "−")
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    raised = str(int(exponent)).translate(_RAISED)
-    return f"{mantissa.replace('-', '−')}·10{raised}"

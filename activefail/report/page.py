@@ -28,7 +28,7 @@ from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
 from activefail.findings.learned_from import source_in_words
-from activefail.findings.quantities import significant, words
+from activefail.findings.quantities import words
 from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
@@ -41,7 +41,7 @@ from activefail.report.environment import page_environment
 from activefail.report.evidence import Curve, Evidence, Reliability
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
-from activefail.shares import choices_with_shares
+from activefail.shares import choices_with_shares, significant
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.system import ByMargins

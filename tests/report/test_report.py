@@ -34,6 +34,7 @@ from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
+from activefail.shares import significant
 from activefail.surrogate.threads import one_thread
 
 SECTIONS = (
@@ -252,7 +253,7 @@ def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
     rows = Page(html).tables["lengths"][1:]
     shown = {row[0]: row[4] for row in rows}
     names = [quantity.text.replace("_", "") for quantity in quantities.features(campaign)]
-    assert shown == {name: quantities.significant(float(value), 2) for name, value in zip(names, scales, strict=True)}
+    assert shown == {name: significant(float(value), 2) for name, value in zip(names, scales, strict=True)}
 
 
 def test_the_same_folder_gives_the_same_page(html, folder):
@@ -493,7 +494,7 @@ def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
 
 
 def test_numbers_are_written_as_people_read_them():
-    assert [quantities.significant(x) for x in (0.0, 0.05, 12.345, 2.5e8, -0.5, 1234.0)] == [
+    assert [significant(x) for x in (0.0, 0.05, 12.345, 2.5e8, -0.5, 1234.0)] == [
         "0",
         "0.0500",
         "12.3",

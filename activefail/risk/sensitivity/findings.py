@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 
 from activefail.csv_table import Target, writing
 from activefail.findings.lines import aligned, titled
-from activefail.findings.quantities import significant
 from activefail.json_text import json_values
 from activefail.risk.sensitivity.sobol import Estimate, Index
-from activefail.shares import percent
+from activefail.shares import percent, significant
 from activefail.visible import or_worse
 
 LOW, HIGH = 0.1, 0.9
