@@ -17,32 +17,22 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with an example, its arguments and its options, as `activefail COMMAND --help` shows them. The guide says
-[what the commands are for](../guide.md#campaigns), and lists the
-[exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c). `python docs/commands.py` writes this page.
+Every command with an example, as `activefail COMMAND --help` shows it. The guide says [what commands are
+for](../guide.md#campaigns). `python docs/commands.py` writes this page.
 
-## In many commands
+## In several commands
 
-Every command takes `-q` (`--quiet`) and `-v` (`--verbose`), which show [less or
-more](../guide.md#campaigns).
+Every command takes `-q` (`--quiet`) and `-v` (`--verbose`), which show [less or more](../guide.md#campaigns).
 
 """
 
-MANY = 3
-"""Commands from which on an argument or option is explained once, at the top of the page."""
-
 
 def linked(text: str) -> str:
-    """A help text with links to the pages that it names, fit for a cell of a table."""
-    text = text.replace("|", r"\|").replace("<", r"\<").replace("*", r"\*")
+    """A help text with links to the pages that it names."""
+    text = text.replace("<", r"\<").replace("*", r"\*")
     # A long list of names has room for a line's end.
     text = re.sub(r"\b\w+(?:,\w+){3,}", lambda names: names[0].replace(",", ", "), text)
     return re.sub(r"docs/([\w./]+\.md)", lambda page: f"[{page[1]}](../{page[1]})", text)
-
-
-def table(rows: list[str]) -> str:
-    """A table of arguments and options."""
-    return "\n".join(["| argument or option | meaning |", "|---|---|", *rows])
 
 
 def command_rows(name: str, command: Any) -> dict[str, str]:
@@ -52,37 +42,37 @@ def command_rows(name: str, command: Any) -> dict[str, str]:
     for parameter in command.get_params(context):
         if parameter.name not in ("help", "quiet", "verbose"):
             declared, text = parameter.get_help_record(context)
-            row = f"| `{declared.replace('|', chr(92) + '|')}` | {linked(' '.join(text.split()))} |"
-            found[row] = declared.split()[0]
+            row = f"- `{declared.replace(' range>', '>')}`: {linked(' '.join(text.split()))}"
+            found[row] = declared.split()[0].rstrip(",")
     return found
 
 
 def command_section(name: str, command: Any, common: set[str]) -> str:
-    """A command's section: how it is called, an example, what it does, and a table of its arguments and options.
+    """A command's section: an example, what it does, and a list of its arguments and options.
 
     Args:
         name: of the command.
         command: as typer has it.
-        common: rows that are not in the table, because many commands have them.
+        common: rows that are not in the list, because several commands have them.
     """
-    usage = command.get_usage(command.make_context(f"activefail {name}", [], resilient_parsing=True))
     rows = command_rows(name, command)
-    calls = (" ".join(usage.removeprefix("Usage: ").split()), command.epilog.removeprefix("Example: "))
-    lines = [f"## {name}", "", *(f"    {call}" for call in calls), "", linked(command.help), ""]
+    lines = [f"## {name}", "", f"    {command.epilog.removeprefix('Example: ')}", "", linked(command.help), ""]
     if special := [row for row in rows if row not in common]:
-        lines += [table(special), ""]
+        lines += [*special, ""]
     if options := [f"`{rows[row]}`" for row in rows if row in common and rows[row].startswith("--")]:
-        lines += [f"It also takes {' and '.join(options)}.", ""]
+        lines += [f"Also: {', '.join(options)}.", ""]
     return "\n".join(lines)
 
 
 def page() -> str:
     """commands.md for the program as it is."""
     commands = typer.main.get_command(app).commands
-    counts = Counter(row for name, command in commands.items() for row in command_rows(name, command))
-    common = [row for row, count in counts.items() if count >= MANY]
+    counts = Counter(row for name, command in commands.items() for row in command_rows(name, command).items())
+    meanings = Counter(first for _, first in counts)
+    # An option with several meanings is explained in each command.
+    common = [row for (row, first), count in counts.items() if count > 1 and (meanings[first] == 1 or first[0] != "-")]
     sections = (command_section(name, command, set(common)) for name, command in commands.items())
-    return HEAD + table(common) + "\n\n" + "\n".join(sections)
+    return HEAD + "\n".join(common) + "\n\n" + "\n".join(sections)
 
 
 if __name__ == "__main__":

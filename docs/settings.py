@@ -17,12 +17,10 @@ PAGE = Path(__file__).parent / "reference" / "settings.md"
 
 HEAD = """# Keys of the files
 
-Every key of campaign and hazard files, with its type and rule and, after a semicolon, its default. `python
-docs/settings.py` writes this page from the settings that check the files. Unknown keys, infinite numbers and NaN are
-refused.
-The [guide](../guide.md#campaigns) explains campaign files, [Distributions](../distributions.md) the variables, and
-[Hazard files](../hazard.md) hazards. A [question file](../probability.md#other-distributions) has the keys of
-[`[question]`](#question).
+Every key of [campaign](../guide.md#campaigns) and [hazard](../hazard.md) files, with its type and rule and, after a
+semicolon, its default. A [question file](../probability.md#other-distributions) has the keys of
+[`[question]`](#question). Unknown keys, infinite numbers and NaN are refused. `python docs/settings.py` writes this
+page.
 """
 
 FILES = {
@@ -108,23 +106,22 @@ def references(schema: Schema) -> list[str]:
 
 
 def rows(section: type, schema: Schema, said: dict[str, str] | None = None) -> list[str]:
-    """The table of a section's keys, and the keys that are as in another table.
+    """The list of a section's keys, and the keys that are as in another section.
 
     Args:
         section: its class.
         schema: its JSON schema.
-        said: rows of tables that may take its place, with the title of each; grows.
+        said: rows of sections that may take its place, with the title of each; grows.
 
     Raises:
         KeyError: if its docstring does not say what a key means.
     """
     meaning = meanings(section)
-    lines, before = ["| key | type, rule; default | meaning |", "|---|---|---|"], dict[str, list[str]]()
+    lines, before = [], dict[str, list[str]]()
     for name, entry in schema["properties"].items():
         if name not in meaning:
             raise KeyError(f"the docstring of {section.__name__} does not say what {name!r} means")
-        cells = (f"`{name}`", rule(entry) + default(name, entry, schema.get("required", [])), meaning[name])
-        row = f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        row = f"- `{name}` ({rule(entry)}{default(name, entry, schema.get('required', []))}): {meaning[name]}"
         if said and row in said:
             before.setdefault(said[row], []).append(f"`{name}`")
         else:

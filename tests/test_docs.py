@@ -314,13 +314,7 @@ def test_every_campaign_says_in_a_comment_what_it_should_show(file):
     assert "What it shows" in file.read_text(encoding="utf-8")
 
 
-# --- the map of the packages ----------------------------------------------------------------------------------------
-
-
-def test_the_list_of_modules_is_what_its_script_writes_and_every_module_says_what_it_is_for():
-    modules = script("modules")
-    assert modules.PAGE.read_text(encoding="utf-8") == modules.page(), "run python docs/modules.py"
-    assert not re.findall(r"^- `.*`:\s*$|^## .*\n\n\n", modules.page(), re.MULTILINE)
+# --- the reference pages ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["commands", "settings"])
