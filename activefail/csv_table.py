@@ -31,6 +31,9 @@ _LONGEST_HEADER = 1_000_000
 _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
 """How a formula begins, also in full-width characters."""
 
+_DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$")
+"""A number as spreadsheets of many countries write it, in tables whose columns are separated by semicolons."""
+
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
 
@@ -371,6 +374,8 @@ class DesignTable:
 def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
     """The rows of a CSV table without blank lines, in parts of at most so many; the last part may have none.
 
+    Columns may also be separated by semicolons, and numbers then have decimal commas, or by tabs.
+
     Raises:
         InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
             or a row has another number of cells than the header.
@@ -386,9 +391,14 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         # Spreadsheets write a byte order mark.
         encoding = "utf-16" if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
         with path.open(encoding=encoding, newline="") as file:
-            lines = csv.reader(file, strict=True)
+            title = file.readline()
+            file.seek(0)
+            separator = next((one for one in ";\t" if one in title and "," not in title), ",")
+            lines = csv.reader(file, delimiter=separator, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):
+                if separator == ";":
+                    cells = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
                 # A spreadsheet adds empty rows and columns.
                 while len(cells) > len(columns) and not cells[-1].strip():
                     cells.pop()
@@ -419,13 +429,10 @@ def _header(table: str, cells: list[str] | None) -> tuple[str, ...]:
     """The names of a table's columns.
 
     Raises:
-        InputError: if there are none, two of one name, or another separator than the comma.
+        InputError: if there are none, or two of one name.
     """
     if cells is None:
         raise InputError(f"{table}: is empty; a header is required.")
-    for separator in (";", "\t"):
-        if len(cells) == 1 and separator in cells[0]:
-            raise InputError(f"{table}: columns must be separated by commas, not by {separator!r}.")
     names = [name.strip() for name in cells]
     while len(names) > 1 and not names[-1]:
         names.pop()

@@ -59,7 +59,7 @@ BAD = {
         "row 2 (line 5), column b: must be a number, got '?'",
     ),
     "missing column": ("a,c\n1,2\n", "column 'b': required, but missing; the required columns are a,b"),
-    "semicolons": ("a;b\n1;2\n", "columns must be separated by commas, not by ';'"),
+    "thousands": ("a;b\n1;2.000,5\n", "row 1 (line 2), column b: must be a number, got '2.000,5'"),
     "column twice": ("a,b,a\n1,2,3\n", "column 'a': must occur only once, occurs 2 times"),
     "column that will be written": (
         "a,answer,b\n1,2,3\n",
@@ -101,8 +101,20 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         " a , b\n 1,2 \n3.0,4e0\n",
         '"a","b"\n"1","2"\n+3,0.4E+1\n',
         "a,b,,\n1,2,,\n,,,\n3,4,,\n,,,\n",
+        "a;b\n1,0; 20,0e-1\n+3;4,\n",
+        "a\tb\n1\t2\n3\t4\n",
     ],
-    ids=["plain", "no end of line", "Windows", "byte order mark", "blanks", "quoted", "empty rows and columns"],
+    ids=[
+        "plain",
+        "no end of line",
+        "Windows",
+        "byte order mark",
+        "blanks",
+        "quoted",
+        "empty",
+        "decimal commas",
+        "tabs",
+    ],
 )
 def test_a_table_is_read_however_a_spreadsheet_writes_it(
     table: Callable[[str | bytes], DesignTable], content: str

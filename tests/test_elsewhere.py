@@ -618,7 +618,9 @@ def on_scales(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "write", [repr, np.float32, "{:.6g}".format, "{:.4e}".format], ids=["repr", "float32", "6g", "4e"]
+    "write",
+    [repr, np.float32, "{:.6g}".format, "{:.4e}".format, lambda x: f"{x:.5e}"[:6] + f"{x:.5e}"[-4:]],
+    ids=["repr", "float32", "6g", "4e", "cut off"],
 )
 def test_a_design_that_was_rounded_honestly_is_the_same(on_scales: Path, write: Callable[[float], Any]) -> None:
     with af.open_run(on_scales) as run:
@@ -627,6 +629,9 @@ def test_a_design_that_was_rounded_honestly_is_the_same(on_scales: Path, write: 
             table[name] = [float(write(value)) for value in table[name]]
         assert not run.is_told(table)
         run.is_told(table[["id", "g", "uniform", "decades"]])
+        assert not run.is_told(run.in_flight.round({"uniform": 2, "offset": 2, "exponential": 0}).assign(g=1.0))
+        with pytest.raises(InputError, match=r"column offset: must be .*, as handed out with id \d"):
+            run.is_told(run.in_flight.round({"offset": 0}).assign(g=1.0))
 
 
 @pytest.mark.parametrize("name", SCALES)

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from typing import Self
 
 import numpy as np
@@ -20,10 +21,7 @@ from activefail.space import Array, DesignSpace
 _ID, _OUTCOME, _CAUSE, _SECONDS = "id", "outcome", "cause", "seconds"
 
 _SAME, _SIMILAR = 1e-5, 1e-2
-"""Distances (`_distance`) within which a value is the one handed out: with any digits, and rounded to `_ROUNDED`."""
-
-_ROUNDED = 5e-5
-"""Relative error of a value of five significant digits, the fewest that programs and spreadsheets write by default."""
+"""Distances (`_distance`) within which a value is the one handed out: with any digits, and rounded (`_unit`)."""
 
 
 _EXPORTED = ("iteration", "origin")
@@ -272,7 +270,7 @@ class ResultTable:
                 continue
             distance = _distance(campaign.space, told, designs)[:, given]
             own = distance[place[number]]
-            rounded = (np.abs(told - asked) <= _ROUNDED * np.abs(asked))[given] & (own <= _SIMILAR)
+            rounded = (np.abs(told - asked) <= [_unit(value) for value in told])[given] & (own <= _SIMILAR)
             values = zip(campaign.space.parameters, told, asked, strict=True)
             is_step = np.array([one.step is None or one.rounded(x) == one.rounded(y) for one, x, y in values])[given]
             is_same = (rounded | (own <= _SAME)) & is_step
@@ -286,6 +284,12 @@ class ResultTable:
                 rule = f"must be {shown[0]!r}, as handed out with id {number} ({way})"
                 faults[row] = str(self.table.broken(row, one.name, rule, shown[1]))
         return faults
+
+
+def _unit(value: float) -> float:
+    """The unit of the last digit that a value has, by which rounding or cutting off moved it at most: 0.01 of 33.74."""
+    exponent = Decimal(repr(float(value))).normalize().as_tuple().exponent
+    return 10.0**exponent if isinstance(exponent, int) else 0.0
 
 
 def _distance(space: DesignSpace, design: Array, designs: Array) -> Array:
@@ -392,7 +396,9 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
     variables = campaign.space.parameters
     design = np.array([table.value(row, one) if one.name in table.columns else np.nan for one in variables])
     for name, value in campaign.space.fixed.items():
-        if name in table.columns and abs(table.finite(row, name) - value) > _ROUNDED * abs(value):
+        if name in table.columns and abs((cell := table.finite(row, name)) - value) > min(
+            _unit(cell), 1e-3 * abs(value)
+        ):
             raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return design
 

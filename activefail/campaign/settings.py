@@ -77,7 +77,8 @@ class CampaignSettings(Section):
         seed: seed of all random numbers.
         simulator: "dfp", the double friction pendulum bearing, or a table of a custom simulator.
         bearing: model of the bearing.
-        space: variables and fixed quantities by name; Table 1 by default, required with a custom simulator.
+        space: variables and fixed quantities by name. Those of the bearing that are left out are as in Table 1; with
+            a custom simulator all are required.
         correlation: pairs of variables with the correlation coefficient of their values.
         constraints: conditions on variables and fixed quantities that all designs meet, such as "depth + gap <= 1": two
             expressions with <=, >=, < or > between them. The design measure is conditional on them.
@@ -145,7 +146,10 @@ class CampaignSettings(Section):
     @classmethod
     def _of_the_simulator(cls, space: Any, info: ValidationInfo) -> Any:
         if space is not None:
-            return space
+            # Of the bearing, what the file leaves out is as in Table 1.
+            others = _table_1() if info.data.get("simulator") == "dfp" else {}
+            is_part = isinstance(space, dict) and space and space.keys() <= others.keys()
+            return space | {name: one for name, one in others.items() if name not in space} if is_part else space
         if "simulator" in info.data:
             raise ValueError("required with a custom simulator")
         return _table_1()  # `simulator` is invalid and has its own error

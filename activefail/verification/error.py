@@ -64,8 +64,10 @@ class ErrorEstimate:
     @property
     def in_words(self) -> str:
         """Number of fresh simulations with an outcome, and of all of them if some failed."""
-        total = "" if self.simulations == self.requested else f"of {self.requested} "
-        return f"{self.simulations} {total}fresh simulations"
+        if self.simulations == self.requested:
+            return f"{self.simulations} fresh simulations"
+        lost = self.requested - self.simulations
+        return f"{self.simulations} of {self.requested} fresh simulations ({lost} gave no result, which widens it)"
 
     @property
     def text(self) -> str:
