@@ -11,8 +11,8 @@ HERE = Path(__file__).parent
 
 HEAD = """# References
 
-Every work that activefail cites. `python docs/references.py` writes this page from [references.bib](references.bib). In
-docstrings a work is cited by its key, as in `[RasmussenWilliams2006, eq. 3.56]`.
+Every work that activefail cites, by its key. `python docs/references.py` writes this page from
+[references.bib](references.bib), which names all authors.
 
 """
 
@@ -28,7 +28,7 @@ def entries(text: str) -> dict[str, dict[str, str]]:
 def line(key: str, entry: dict[str, str]) -> str:
     """An entry as an item of a list, with an anchor of its key."""
     authors = entry.get("author", "").replace(" and others", " et al.").split(" and ")
-    names = authors[0] if len(authors) == 1 else f"{', '.join(authors[:-1])} and {authors[-1]}"
+    names = " and ".join(authors) if len(authors) < 3 else f"{authors[0]} et al."
     head = f"{names} ({entry['year']})" if "year" in entry else names
     kinds = ("journal", "booktitle", "publisher", "school", "institution")
     place = next((entry[kind] for kind in kinds if kind in entry), "")

@@ -84,6 +84,8 @@ def rule(schema: Schema) -> str:
         return f"list of ({inner}){count}" if "," in inner or " of " in inner else f"list of {inner}{count}"
     if isinstance(values := schema.get("additionalProperties"), dict):
         return f"table of name = {rule(values)}"
+    if schema.keys() >= {"minimum", "maximum"}:
+        return f"{TYPES[schema['type']]}, {number(schema['minimum'])} to {number(schema['maximum'])}"
     rules = [sign + number(schema[key]) for key, sign in RULES.items() if key in schema]
     if "maxLength" in schema:
         rules.append(f"at most {schema['maxLength']} characters")

@@ -85,7 +85,7 @@ def _check_documented(command: str, printed: dict[str, object]) -> None:
     def section(name: str) -> str:
         return whole.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
 
-    text = section(command)
+    text = whole.partition("\n## ")[0] + section(command)
     text += "".join(map(section, re.findall(r"\(#([a-z]+)\)", text)))  # keys that it says are there
 
     def undocumented(value: object, by_name: bool = False) -> set[str]:

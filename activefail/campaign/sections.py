@@ -280,8 +280,8 @@ class BearingSettings(Section):
         restitution_coefficient: coefficient of restitution of the contacts, dish and rim, for two bodies of the mass in
             the damper; of the plate that hits a rim see `restitution`.
         restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate. A plate hits a
-            rim through the light slider: if "pairwise", it rebounds nearly elastically, with 0.89 of its speed in the
-            median and up to 0.97, and if "assembly" with 0.57, up to 0.71 (`python studies/restitution.py`).
+            rim through the light slider, and rebounds with 0.89 of its speed (median) if "pairwise", with 0.57 if
+            "assembly" (`python studies/restitution.py`).
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
@@ -357,14 +357,13 @@ class OutcomeSettings(Section):
         margins: names of the numbers that it returns besides the outcome.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
-        system: failure where `min(...)` (any mode is enough) or `max(...)` (all must fail) of the margins is at most
-            0; the functions may be nested. Each margin is then learned by itself, and a result may be the margins
-            alone. Each must be the one that the whole simulation gives.
-        lost: what a run without a result means: "unknown", either outcome; "failure", the most severe outcome, where
-            non-convergence is collapse; "impossible", a design that does not exist. For all causes, or by cause.
-        repeatable: whether equal designs have equal results. If not, results are noisy: every run is a result of its
-            own, and the boundary is where an outcome has probability one half. If this is left out, one design is
-            simulated twice, and different results end the campaign.
+        system: failure where `min(...)` or `max(...)` of the margins is at most 0
+            ([several limit states](../probability.md#several-limit-states)).
+        lost: what a [run without a result](../probability.md#runs-without-a-result) means: either outcome, the most
+            severe one, or a design that does not exist. For all causes, or by cause.
+        repeatable: whether equal designs have equal results
+            ([if not](../probability.md#a-simulator-that-does-not-repeat)). If this is left out, one design is simulated
+            twice, and different results end the campaign.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)

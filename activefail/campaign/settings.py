@@ -80,8 +80,7 @@ class CampaignSettings(Section):
         space: variables and fixed quantities by name. Those of the bearing that are left out are as in Table 1; with
             a custom simulator all are required.
         correlation: pairs of variables with the correlation coefficient of their values.
-        constraints: conditions on variables and fixed quantities that all designs meet, such as "depth + gap <= 1": two
-            expressions with <=, >=, < or > between them. The design measure is conditional on them.
+        constraints: conditions that all designs meet, such as "depth + gap <= 1".
         sampling: numbers of simulations.
         classifier: features, covariance, and what is learned from.
         acquisition: how designs are chosen.

@@ -86,10 +86,10 @@ def test_the_page_s_reader_refuses_what_the_program_refuses(reader: SimpleNamesp
 
 
 def test_the_page_names_the_columns_causes_and_events_of_the_program() -> None:
-    assert re.findall(r"^\| `(\w+)` \| \w+ \| \(n", PAGE, re.MULTILINE) == list(COLUMNS)
-    causes = re.findall(r"^\| −(\d) \| `(\w+)`", PAGE, re.MULTILINE)
+    assert re.findall(r"^- `(\w+)`, \w+ \(n", PAGE, re.MULTILINE) == list(COLUMNS)
+    causes = re.findall(r"−(\d)\s+`(\w+)`", PAGE)
     assert {-int(code): name for code, name in causes} == EXECUTION_CAUSES
     events = PAGE[PAGE.index("## Events") : PAGE.index("### Columns")]
     source = Path(FolderStore.__mro__[1].__module__.replace(".", "/")).with_suffix(".py")
     kinds = re.findall(r'case "(\w+)":', (Path(__file__).parents[2] / source).read_text())
-    assert re.findall(r"^\| `(\w+)` \|", events, re.MULTILINE) == kinds
+    assert re.findall(r"^- `(\w+)`, with", events, re.MULTILINE) == kinds
