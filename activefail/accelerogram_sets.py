@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from activefail.accelerogram_files import doubts, read_accelerogram
-from activefail.accelerogram_header import UNITS, unit_named
+from activefail.accelerogram_header import UNITS, same_interval, unit_named
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.csv_table import Table
@@ -148,8 +148,8 @@ def read_record_set(
 
     Args:
         folder: of the files.
-        unit: of accelerations where the table states none; see `read_accelerogram`.
-        dt: interval between samples [s] where neither table nor file states it.
+        unit: of accelerations where the table states none, which must not state another; see `read_accelerogram`.
+        dt: interval between samples [s] where neither table nor file states it; likewise.
         vertical: whether to read vertical components, which every record must then have.
 
     Raises:
@@ -172,12 +172,16 @@ def read_record_set(
         raise InputError(f"{folder}: must have at least 2 records, got {len(rows)}.")
 
     def motion_in(column: str, row: int) -> Accelerogram:
-        stated, interval = table.cell(row, "unit") or unit, table.number(row, "dt")
+        stated, interval = table.cell(row, "unit"), table.number(row, "dt")
         if stated and unit_named(stated) not in UNITS:
             raise table.broken(row, "unit", f"must be one of {', '.join(UNITS)}", stated)
+        if stated and unit and unit_named(stated) != unit_named(unit):
+            raise table.broken(row, "unit", f"must be {unit} as --unit, or be left out", stated)
+        if dt is not None and not (math.isnan(interval) or same_interval(interval, dt)):
+            raise table.broken(row, "dt", f"must be {dt:g} s as --dt, or be left out", interval)
         name = table.cell(row, column)
         try:
-            return read_accelerogram(folder / name, stated, dt if math.isnan(interval) else interval)
+            return read_accelerogram(folder / name, stated or unit, dt if math.isnan(interval) else interval)
         except InputError as error:
             advice = "" if table.name else f" If {name} is no record, name the records in {TABLE}, or move it."
             raise InputError(f"{error}{advice}") from None

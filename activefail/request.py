@@ -69,6 +69,7 @@ class Option(NamedTuple):
         with_out: whether it is for the pages alone, and so off without `--out`.
         default: of a shared declaration.
         parts: if the value is an object: the options of the command line that make it, by the names of its arguments.
+        needs, bars: the option without which, or beside which, this one has no effect, so that it is refused.
     """
 
     help: str
@@ -82,16 +83,32 @@ class Option(NamedTuple):
     with_out: bool = False
     default: Any = None
     parts: Mapping[str, "Option"] = {}
+    needs: str = ""
+    bars: str = ""
 
     def value(self, words: Mapping[str, Any]) -> Any:
         """The object with these words for its parts. Its class is loaded only now, because it may need libraries."""
         module, name = self.kind.split(":")
         return getattr(import_module(module), name)(**{name: words[name] for name in self.parts})
 
+    @property
+    def is_of_one_way(self) -> bool:
+        """Whether it belongs to one of several ways of answering."""
+        return bool(self.needs or self.bars)
+
+    def is_given(self, value: Any) -> bool:
+        """Whether a value is one that the user gave; a flag is given if it is set."""
+        if value is None or value is False:
+            return False
+        return not self.parts or value != self.value({name: of.default for name, of in self.parts.items()})
+
 
 def declared(of: Option) -> Any:
-    """A field of a request with this declaration, which others share."""
-    return field(default=of.default, metadata={"option": of})
+    """A field of a request with this declaration, which others share.
+
+    One that belongs to one way of answering is None until `Request` has seen whether it was given.
+    """
+    return field(default=None if of.is_of_one_way else of.default, metadata={"option": of})
 
 
 def option(default: Any, help: str, kind: Any = None, **more: Any) -> Any:
@@ -136,8 +153,15 @@ class Request(Generic[F_co]):
     """Title of the progress bar that `begin` moves; empty if there is none."""
 
     def __post_init__(self) -> None:
-        for one, declared in options(type(self)):
-            _check(one.name, getattr(self, one.name), declared)
+        for one, of in options(type(self)):
+            if of.is_of_one_way:
+                if not of.is_given(getattr(self, one.name)):
+                    object.__setattr__(self, one.name, of.default)
+                elif of.needs and getattr(self, of.needs) is None:
+                    raise InputError(f"{one.name}: requires {of.needs}.")
+                elif of.bars and getattr(self, of.bars) is not None:
+                    raise InputError(f"{one.name}: cannot be combined with {of.bars}.")
+            _check(one.name, getattr(self, one.name), of)
 
     def answer(self, run: Any) -> F_co:
         """The findings.
@@ -208,7 +232,9 @@ def _declare(
     signature = inspect.signature(request)
     function.__name__, function.__qualname__, function.__doc__ = name.rpartition(".")[2], name, _docstring(request)
     (findings,) = get_args(request.__orig_bases__[0])
-    parameters = [*before, *signature.parameters.values(), *after]
+    defaults = {one.name: of.default for one, of in options(request) if of.is_of_one_way}
+    own = [one.replace(default=defaults.get(name, one.default)) for name, one in signature.parameters.items()]
+    parameters = [*before, *own, *after]
     function.__signature__ = signature.replace(parameters=parameters, return_annotation=findings.__forward_arg__)
 
 

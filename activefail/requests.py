@@ -112,7 +112,11 @@ WRONG = Option(
     high=0.5,
 )
 AT_ONCE = Option(
-    "With --wrong: values that are simulated at a time, before the classifier learns again.", int, low=1, default=3
+    "With --wrong: values that are simulated at a time, before the classifier learns again.",
+    int,
+    low=1,
+    default=3,
+    needs="wrong",
 )
 
 
@@ -166,7 +170,9 @@ class ProbabilityRequest(Request["ProbabilityFindings | StripeFindings"]):
     them.
     """
 
-    simulations: int = option(50, f"{SIMULATIONS}; a question may add a mode check.", low=10, high=1_000_000)
+    simulations: int = option(
+        50, f"{SIMULATIONS}; a question may add a mode check.", low=10, high=1_000_000, bars="wrong"
+    )
     confidence: float = confidence(0.9, "of the interval")
     outcome: str | None = option(None, f"Outcome whose probability is estimated. {TARGET_BOUNDARY}", str)
     question: "Question | Path | str | None" = option(None, f"{QUESTION}, or a hazard file (docs/hazard.md).", Path)
@@ -207,21 +213,22 @@ class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
     """
 
     hazard: "Hazard | Path | str | None" = option(
-        None, "Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", Path
+        None, "Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", Path, bars="wrong"
     )
     fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
     intensity: Literal["pgv", "a_p"] = option(
-        "pgv", "With --hazard: peak ground velocity, or amplitude of the pulses.", Literal["pgv", "a_p"]
-    )
+        "pgv", "With --hazard: peak ground velocity, or amplitude of the pulses.", Literal["pgv", "a_p"],
+        needs="hazard",
+    )  # fmt: skip
     against: str | None = option(None, "Without --hazard: the variable of the curves.", str, metavar="VARIABLE")
     bounds: tuple[float, float] | None = option(
         None, "With --against: range of the variable; that of the campaign by default.", str, names=("--range",),
-        metavar="LOW,HIGH", parse=_range,
+        metavar="LOW,HIGH", parse=_range, needs="against",
     )  # fmt: skip
     question: "Question | Path | str | None" = option(
-        None, "With --against: file with other distributions (docs/probability.md).", Path
+        None, "With --against: file with other distributions (docs/probability.md).", Path, needs="against"
     )
-    verify: int = option(0, f"{SIMULATIONS}, for intervals.", low=0, high=1_000_000)
+    verify: int = option(0, f"{SIMULATIONS}, for intervals.", low=0, high=1_000_000, bars="wrong")
     confidence: float = confidence(0.95)
     outcome: str | None = option(None, f"Outcome whose curve is verified. {TARGET_BOUNDARY}", str)
     wrong: float | None = declared(WRONG)
@@ -251,8 +258,6 @@ class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
         if self.wrong is not None:
             from activefail.risk.fragility.by_stripes import fragility_by_stripes
 
-            if asked.hazard is not None or self.verify:
-                raise InputError("wrong: requires against, without hazard and verify.")
             with asking_stripes(run, self.at_once, self.executor, self.stage) as stripes:
                 return fragility_by_stripes(stripes, asked.question, ladder, outcome, self.wrong, self.confidence)
         with estimating(run, self.executor, self.stage, bool(self.verify)) as estimator:
@@ -295,13 +300,19 @@ class DesignRequest(Request["DesignFindings | DesignByStripes"]):
     fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
     free: "Sequence[str]" = option((), "Variables to design, such as D_tot,mu; D_tot by default.", str, parse=_names)
     cost: str = option(
-        "", "Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default."
+        "",
+        "Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default.",
+        bars="wrong",
     )
     confidence: float = confidence(0.95, "that the target is met")
     simulations: int = option(
-        1000, "Maximum number of fresh simulations for each target; not part of the budget.", low=10, high=1_000_000
+        1000,
+        "Maximum number of fresh simulations for each target; not part of the budget.",
+        low=10,
+        high=1_000_000,
+        bars="wrong",
     )
-    chart: bool = option(False, "Compute the chart of required values, with --out.", with_out=True)
+    chart: bool = option(False, "Compute the chart of required values, with --out.", with_out=True, bars="wrong")
     wrong: float | None = declared(WRONG)
     at_once: int = declared(AT_ONCE)
 
@@ -433,11 +444,16 @@ class IdaRequest(Request["IdaFindings"]):
         float,
     )
     margin: "MarginRequest | None" = declared(MARGIN)
-    pulses: bool = option(False, "Compare each record with the pulse nearest to it.", names=("--pulses",))
-    unit: str | None = option(None, "Unit of records that state none: g, m/s2, cm/s2 or mm/s2.", str)
-    dt: float | None = option(None, "Interval of records without times [s].", float)
+    pulses: bool = option(
+        False, "Compare each record with the pulse nearest to it.", names=("--pulses",), bars="simulator"
+    )
+    unit: str | None = option(None, "Unit of records that state none: g, m/s2, cm/s2 or mm/s2.", str, needs="records")
+    dt: float | None = option(None, "Interval of records without times [s].", float, needs="records")
     vertical: bool = option(
-        False, "Use the vertical components that records.csv names (docs/records.md).", names=("--vertical",)
+        False,
+        "Use the vertical components that records.csv names (docs/records.md).",
+        names=("--vertical",),
+        bars="simulator",
     )
     simulator: Path | str | None = option(
         None,
@@ -446,11 +462,11 @@ class IdaRequest(Request["IdaFindings"]):
         Path,
         metavar="CAMPAIGN.toml",
     )
-    model: "Model | None" = declared(MODEL)
-    tolerance: "Tolerance | None" = declared(TOLERANCE)
+    model: "Model | None" = declared(MODEL._replace(bars="simulator"))
+    tolerance: "Tolerance | None" = declared(TOLERANCE._replace(bars="simulator"))
     workers: int | None = declared(WORKERS)
-    where: Literal["local", "dask"] = declared(EXECUTOR)
-    scheduler: str | None = declared(SCHEDULER)
+    where: Literal["local", "dask"] = declared(EXECUTOR._replace(needs="simulator"))
+    scheduler: str | None = declared(SCHEDULER._replace(needs="simulator"))
     folder: Path | str | None = option(
         None, "Folder that keeps the simulations, so that the same analysis continues.", Path, with_out=True
     )
@@ -485,17 +501,7 @@ class IdaRequest(Request["IdaFindings"]):
                 "--campaign requires --pulses: a campaign's classifier predicts outcomes under pulses, not under "
                 "records."
             )
-        if self.simulator is None and (self.where != "local" or self.scheduler is not None):
-            raise InputError("--executor and --scheduler require --simulator; the bearing model runs in threads.")
-        for name in ("vertical", "pulses"):
-            if self.simulator is not None and getattr(self, name):
-                raise InputError(f"--simulator cannot be combined with --{name}.")
         model, tolerance = self.model or Model(), self.tolerance or Tolerance()
-        if self.simulator is not None and (model, tolerance) != (Model(), Tolerance()):
-            raise InputError(
-                "--simulator cannot be combined with options of the bearing model or --tolerance, which the campaign's "
-                "code sets."
-            )
         folder = None if self.folder is None else path_of("folder", self.folder)
         ground, records = Ground(), self.records
         if self.simulator is not None:
@@ -508,9 +514,6 @@ class IdaRequest(Request["IdaFindings"]):
         if records is None:
             if ground.records is None:
                 raise InputError("--records: required, unless a campaign of --simulator has a variable with a `set`.")
-            for option_name in ("unit", "dt"):
-                if getattr(self, option_name) is not None:
-                    raise InputError(f"--{option_name} requires --records.")
             records = ground.records
         if not isinstance(records, RecordSet):
             if folder is not None and folder.resolve() == Path(records).resolve():
@@ -624,12 +627,13 @@ class ReportRequest(Request["ReportFindings"]):
     hazard: "Hazard | Path | str | None" = option(
         None, "Hazard file (docs/hazard.md): adds fragility curves and the bearing that each target requires.", Path
     )
-    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED)
+    fixed: "Mapping[str, float] | Path | str | None" = declared(FIXED._replace(needs="hazard"))
     target: "float | str | None" = option(
         None,
         "With --hazard: largest acceptable probability, such as 0.10, or a risk category; by default all three "
         "categories.",
         str,
+        needs="hazard",
     )
 
     writes: ClassVar = False
@@ -645,8 +649,6 @@ class ReportRequest(Request["ReportFindings"]):
         if self.page is not None:
             check_output("--out", page)
             check_file(page, "a report", (".html", ".htm"))
-        if self.hazard is None and (self.fixed is not None or self.target is not None):
-            raise InputError(f"{'fixed' if self.fixed is not None else 'target'}: requires hazard.")
         risk = None
         if self.hazard is not None:
             wanted = risk_options(self.hazard, self.fixed, self.target, run.campaign.simulator.outcomes, run.boundary)

@@ -32,9 +32,9 @@ def test_without_a_table_every_file_of_records_is_one_event(folder: Path) -> Non
 
 def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
     (folder / "records.csv").write_text(
-        "file,unit,event,dt\nc.dat,cm/s2,Kobe,0.02\na.txt,g,Kobe,0.005\n\nb.AT2,,Loma,\n"
+        "file,unit,event,dt\nc.dat,cm/s2,Kobe,0.02\na.txt,g,Kobe,0.005\n\nb.AT2,m/s2,Loma,\n"
     )
-    found = read_record_set(folder, "m/s2")
+    found = read_record_set(folder)
     assert [record.event for record in found.records] == ["Kobe", "Kobe", "Loma"]
     assert [record.motion.dt for record in found.records] == [0.02, 0.005, 0.01]
     assert found.records[0].motion.acceleration[1] == pytest.approx(0.03)
@@ -73,6 +73,17 @@ def test_a_table_that_breaks_a_rule_is_refused_by_line(folder: Path, table: str,
     (folder / "records.csv").write_text(table)
     with pytest.raises(InputError, match=message):
         read_record_set(folder)
+
+
+def test_a_unit_or_an_interval_beside_a_table_must_agree_with_it(folder: Path) -> None:
+    (folder / "records.csv").write_text("file,unit,dt\na.txt,gal,0.02\nc.dat,,\n")
+    assert read_record_set(folder, "cm/s2", 0.02).records[1].motion.acceleration[1] == pytest.approx(0.03)
+    for unit, dt, rule in (
+        ("g", None, r"row 1 \(line 2\), column unit: must be g as --unit, or be left out, got 'gal'"),
+        (None, 0.01, r"row 1 \(line 2\), column dt: must be 0.01 s as --dt, or be left out, got 0.02"),
+    ):
+        with pytest.raises(InputError, match=rule):
+            read_record_set(folder, unit, dt)
 
 
 def test_a_file_is_no_folder_of_records(folder: Path) -> None:

@@ -433,7 +433,7 @@ def test_an_incremental_dynamic_analysis_takes_the_records_of_the_campaign(
         "--records: must be those of the campaign, mine; leave them out",
     )
     refused(activefail(*words, "--scale-to", "pga"), "--scale-to: must be pgv with this --simulator, got 'pga'")
-    refused(activefail(*words, "--unit", "g"), "--unit requires --records")
+    refused(activefail(*words, "--unit", "g"), "unit: requires records.")
     refused(activefail("ida", "--bearing", folder / "values.toml"), "--records: required, unless a campaign of")
     unscaled = cheap(PYTHON, (', scaled_to = { PGV = "pgv" }', ""))
     refused(activefail(*words[:2], unscaled, *words[3:]), "space.record.scaled_to names a variable")

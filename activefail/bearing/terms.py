@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple, Self
 
-from activefail.bearing.design import GRAVITY
+from activefail.bearing.design import GRAVITY, Model
 
 NEEDED = ("T_b", "mu", "D_tot", "h_sl_ratio", "p", "k")
 """Variables of Table 1 on which the terms depend."""
@@ -23,29 +23,30 @@ class Terms(NamedTuple):
 
     effective_radius: float  # R_eff [m]
     period: float  # of small swings, 2π√(L/g) [s]
-    rim_displacement: float  # of the top plate, at which the slider touches both rims [m]
+    rim_displacement: float  # of the top plate, at which the slider is at both rims [m]
     rim_force: float  # lateral force there over the weight [-]
     nominal_period: float  # T_b = 2π√(2R/g) [s]
     capacity: float  # D_tot [m]
     nominal_force: float  # μ + D_tot/2R [-]
+    has_rims: bool  # without, the slider is at the edges of its dishes
 
     @classmethod
-    def of(cls, values: Mapping[str, float], slider_diameter: float) -> Self | None:
+    def of(cls, values: Mapping[str, float], model: Model) -> Self | None:
         """The terms of a bearing; None if one of NEEDED has no value, or the slider does not fit its dishes.
 
         Args:
             values: of the variables of Table 1, by name.
-            slider_diameter: D_sl [m].
+            model: its slider diameter D_sl and rims.
         """
         if not values.keys() >= set(NEEDED):
             return None
         T_b, mu, D_tot, height, p, k = (values[name] for name in NEEDED)
-        radius, half = GRAVITY * (T_b / (2.0 * math.pi)) ** 2 / 2.0, slider_diameter / 2.0
+        radius, half = GRAVITY * (T_b / (2.0 * math.pi)) ** 2 / 2.0, model.slider_diameter / 2.0
         if not half + D_tot / 2.0 < radius:
             return None
         level = math.sqrt(radius * radius - half * half)
         sunk = (0.5e6 * p * math.pi * half * half * radius / (level * k)) ** (2.0 / 3.0)
-        effective, reach = 2.0 * level - height * slider_diameter, level + sunk
+        effective, reach = 2.0 * level - height * model.slider_diameter, level + sunk
         circle, length = math.hypot(reach, half), effective + 2.0 * sunk
         friction = 2.0 * circle * circle * math.sin(math.atan(mu)) / (length * reach)
         if not (effective > 0.0 and friction < 1.0):
@@ -59,10 +60,12 @@ class Terms(NamedTuple):
             T_b,
             D_tot,
             mu + D_tot / (2.0 * radius),
+            model.rim != "none",
         )
 
     def lines(self, friction: str = "") -> list[tuple[str, str]]:
         """Titles and texts, with words for the friction behind the forces."""
+        reached = "touched by the slider" if self.has_rims else "none; the slider is at the edges of its dishes"
         return [
             (
                 "swings",
@@ -71,7 +74,7 @@ class Terms(NamedTuple):
             ),
             (
                 "rims",
-                f"touched by the slider at {self.rim_displacement:.3g} m (D_tot: {self.capacity:.3g} m), at a "
+                f"{reached} at {self.rim_displacement:.3g} m (D_tot: {self.capacity:.3g} m), at a "
                 f"lateral force of {self.rim_force:.3g} of the weight{friction} "
                 f"(μ + D_tot/2R: {self.nominal_force:.3g})",
             ),

@@ -36,13 +36,16 @@ from activefail.visible import visible
 def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
     """The command that asks a request of a run folder and prints the findings."""
 
-    def command(folder: Path | None, as_json: bool, code: Path | None = None, **words: Any) -> None:
+    def command(
+        context: typer.Context, folder: Path | None, as_json: bool, code: Path | None = None, **words: Any
+    ) -> None:
         csv, out = words.pop("csv", None), words.pop("out", None)
         check_out(out)
         check_table("--csv", csv)
         if as_json and csv in STANDARD:
             raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
-        values = {one.name: _value(one.name, words, of, out) for one, of in options(request)}
+        given = {word for word in words if getattr(context.get_parameter_source(word), "name", "") != "DEFAULT"}
+        values = {one.name: _value(one.name, words, of, out, one.name in given) for one, of in options(request)}
         run_or_none = nullcontext() if folder is None else opened_run(folder, write=request.writes, code=code)
         with run_or_none as run:
             with progress_bar(request.counts) if request.counts else nullcontext(uncounted) as begin:
@@ -74,13 +77,17 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
     return command
 
 
-def _value(name: str, words: dict[str, Any], of: Option, out: Path | None) -> Any:
-    """The value of an option, from the words on the command line or its default."""
+def _value(name: str, words: dict[str, Any], of: Option, out: Path | None, is_given: bool) -> Any:
+    """The value of an option, from the words on the command line; None if an option of one way is not given."""
     if of.parts:
         return of.value(words)
-    if of.with_out and out is None:
-        return None if of.kind is Path else False
-    word: Any = out if of.kind is Path and of.with_out else words[name]
+    if of.with_out and of.kind is Path:
+        return out
+    word = words[name]
+    if of.with_out and word and is_given and out is None:
+        raise InputError(f"--{name}: requires --out.")
+    if of.is_of_one_way and not is_given:
+        return (of.with_out and out is not None and words[of.bars] is None) or None
     if of.parse is None:
         return word
     return of.default if word is None else of.parse(word)
@@ -88,7 +95,8 @@ def _value(name: str, words: dict[str, Any], of: Option, out: Path | None) -> An
 
 def _parameters(request: type[Request[Any]]) -> Parameters:
     """The parameters of the command of a request."""
-    parameters: Parameters = {} if request.of_run else {"folder": (RunFolder, inspect.Parameter.empty)}
+    parameters: Parameters = {"context": (typer.Context, inspect.Parameter.empty)}
+    parameters |= {} if request.of_run else {"folder": (RunFolder, inspect.Parameter.empty)}
     for one, of in options(request):
         # `--out` names the folder.
         if not (of.with_out and of.kind is Path):

@@ -157,7 +157,7 @@ def _simulate_one(
     motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.
     response = simulate_one(bearing, motion, model, tolerance, to_the_end=True)
-    terms = Terms.of(dict(zip(TABLE_1.names, design, strict=False)), model.slider_diameter)
+    terms = Terms.of(dict(zip(TABLE_1.names, design, strict=False)), model)
     if as_json:
         print_json({**_as_json(response), "terms": None if terms is None else terms.as_json()})
     else:

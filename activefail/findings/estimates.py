@@ -192,7 +192,7 @@ class ProbabilityFindings:
             (
                 "classifier",
                 f"{model}, learned from {learned}, without an interval; contradictions by fresh "
-                f"simulations: {estimate.wrong}",
+                f"simulations: {estimate.contradictions}",
             ),
         ]
         rows += [("mode", " ".join(mode)) for mode in modes_in_words(estimate.modes)]
@@ -334,7 +334,7 @@ class ProbabilityFindings:
             "confidence": estimate.confidence,
             "simulations": estimate.simulations,
             "numerical_failures": estimate.unanswered,
-            "contradictions": estimate.wrong,
+            "contradictions": estimate.contradictions,
             "contradictions_where_sure": estimate.surprising,
             "deviation_of_margins": estimate.deviation,
             "check": None

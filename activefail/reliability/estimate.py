@@ -109,8 +109,8 @@ class ProbabilityEstimate:
         simulations: different fresh simulations, including numerical failures.
         unanswered: numerical failures among them. The interval covers both outcomes that they may have had.
         beyond: how many of the fresh simulations ended beyond the boundary.
-        wrong: how many contradict the classifier.
-        surprising: how many of these lie where the classifier was sure, by four standard deviations.
+        contradictions: how many contradict the classifier; with noise only those where it was sure.
+        surprising: how many contradict it where it was sure, by four standard deviations.
         method: how the fresh simulations were drawn.
         deviation: of the margins of the fresh simulations (see `deviation_of_margins`); 1 without margins.
         draws: of these simulations, some of them drawn repeatedly; 0 if they are all rows of the distribution, so that
@@ -132,7 +132,7 @@ class ProbabilityEstimate:
     simulations: int
     unanswered: int
     beyond: int
-    wrong: int
+    contradictions: int
     surprising: int
     method: str
     deviation: float = 1.0
@@ -152,7 +152,7 @@ class ProbabilityEstimate:
             "high": self.high,
             "simulations": self.simulations,
             "numerical_failures": self.unanswered,
-            "contradictions": self.wrong,
+            "contradictions": self.contradictions,
             "contradictions_where_sure": self.surprising,
         }
 
@@ -163,7 +163,7 @@ class Counts(NamedTuple):
     simulations: int
     unanswered: int
     beyond: int
-    wrong: int
+    contradictions: int
     surprising: int
 
 

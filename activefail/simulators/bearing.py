@@ -37,7 +37,7 @@ def terms_of(simulator: object, values: Mapping[str, float]) -> Terms | None:
     """The designer's terms of a bearing with these values and the space's fixed ones; None for another simulator."""
     if not isinstance(simulator, DfpSimulator):
         return None
-    return Terms.of({**simulator.space.fixed, **values}, simulator.model.slider_diameter)
+    return Terms.of({**simulator.space.fixed, **values}, simulator.model)
 
 
 @dataclass(frozen=True)

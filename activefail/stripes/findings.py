@@ -95,8 +95,8 @@ class StripeFindings:
             ),
             (
                 "check",
-                f"{checked.simulated} random predictions were simulated too, {checked.wrong} wrong; they alone show "
-                f"that at most {stripe.most_wrong} of the {predicted} predicted are wrong ({100 * OF_BOUND:g} %)",
+                f"{checked.simulated} random predictions were simulated too, {checked.contradicted} wrong; this alone "
+                f"shows that at most {stripe.most_wrong} of the {predicted} predicted are wrong ({100 * OF_BOUND:g} %)",
             ),
             ("campaign", f"{stripe.learned} simulations, these among them"),
             *(("note", sentence) for sentence in self.assumptions),
@@ -113,7 +113,7 @@ class StripeFindings:
                 "More is expected wrong than was asked for: the doubtful values are in flight elsewhere. Record their "
                 "results with `activefail tell`, or drop them; then ask again."
             )
-        if stripe.checked.wrong:
+        if stripe.checked.contradicted:
             sentences.append("The check contradicted the classifier.")
         return [*sentences, *self.of_question]
 
@@ -140,7 +140,7 @@ class StripeFindings:
                     "doubted": stripe.doubted,
                     "check": {
                         "simulations": stripe.checked.simulated,
-                        "wrong": stripe.checked.wrong,
+                        "contradicted": stripe.checked.contradicted,
                         "most_wrong": stripe.most_wrong,
                         "confidence": OF_BOUND,
                     },

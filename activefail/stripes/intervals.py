@@ -26,16 +26,16 @@ class Interval(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What a check found: predictions, drawn at random, that were simulated too."""
+    """What a check found: predictions, drawn at random, that were simulated too, and how many this contradicted."""
 
     simulated: int
-    wrong: int
+    contradicted: int
 
 
 def expected_wrong(predicted: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked) -> float:
     """Expected probability of the values that are predicted wrongly (see `deviations`)."""
     a, b = _PRIOR
-    theta = (a + checked.wrong) / (a + b + checked.simulated)
+    theta = (a + checked.contradicted) / (a + b + checked.simulated)
     return float(weight @ np.where(predicted, doubt + (1.0 - 2.0 * doubt) * theta, 0.0))
 
 
@@ -56,7 +56,7 @@ def deviations(
     """
     rng = np.random.default_rng(0)
     a, b = _PRIOR
-    theta = rng.beta(a + checked.wrong, b + checked.simulated - checked.wrong, size=(_DRAWS, 1))
+    theta = rng.beta(a + checked.contradicted, b + checked.simulated - checked.contradicted, size=(_DRAWS, 1))
     q = doubt[predicted]
     is_wrong = rng.random((_DRAWS, len(q))) < q + (1.0 - 2.0 * q) * theta
     return np.asarray(is_wrong @ np.where(beyond[predicted], -weight[predicted], weight[predicted]))
@@ -117,19 +117,20 @@ def of_others(
     return Interval(low, high)
 
 
-def most_wrong(remaining: int, checked: Checked, confidence: float) -> int:
-    """An upper bound on the number of wrong ones among the remaining predictions, without a model.
+def most_wrong(unchecked: int, checked: Checked, confidence: float) -> int:
+    """An upper bound on the number of wrong ones among the predictions that were not checked, without a model.
 
     The check is a random sample without replacement of all predictions, so the number of wrong ones in it is
     hypergeometric.
 
     Args:
-        remaining: predictions that were not checked.
+        unchecked: predictions from which the check was drawn, without those in it.
         checked: the check.
         confidence: one-sided, of the bound.
     """
     from scipy.stats import hypergeom
 
-    wrong = np.arange(remaining + 1)
-    shares = hypergeom.cdf(checked.wrong, remaining + checked.simulated, wrong + checked.wrong, checked.simulated)
+    wrong = np.arange(unchecked + 1)
+    total, drawn = unchecked + checked.simulated, checked.simulated
+    shares = hypergeom.cdf(checked.contradicted, total, wrong + checked.contradicted, drawn)
     return int(wrong[shares > 1.0 - confidence].max(initial=0))

@@ -54,14 +54,19 @@ class Round(NamedTuple):
     """Values that were chosen together, and what the classifier said of them before they were simulated.
 
     Attributes:
-        rows: of the question's values.
+        rows: of the question's values; of a check all predictions, in random order.
         beyond: whether each was predicted to be beyond the boundary.
-        predicted: number of all predictions if these are random ones of them, a check; 0 if they are the most doubtful.
+        drawn: of a check how many of the rows, the first ones, are simulated; 0 if all are, the most doubtful ones.
     """
 
     rows: list[int]
     beyond: list[bool]
-    predicted: int
+    drawn: int
+
+    @property
+    def chosen(self) -> list[int]:
+        """The rows that are simulated."""
+        return self.rows[: self.drawn or None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,24 +119,36 @@ class Stripe:
         """Which values are predicted, (n,)."""
         return np.asarray(~self.known & ~self.lost & (self.values.weight > 0.0))
 
-    def is_wrong(self, one: Round) -> NDArray[np.bool_]:
-        """Which of a round's predictions its simulations contradict."""
-        rows = np.array(one.rows, dtype=int)
-        return np.asarray(self.known[rows] & (self.beyond[rows] != np.array(one.beyond)))
+    @property
+    def check(self) -> Round | None:
+        """The round that checks predictions; None before it."""
+        return next((one for one in self.rounds if one.drawn), None)
 
     @property
     def checked(self) -> Checked:
         """What the check found."""
-        return self._counted([one for one in self.rounds if one.predicted])
-
-    def _counted(self, checks: list[Round]) -> Checked:
-        answered = sum(int(self.known[one.rows].sum()) for one in checks)
-        return Checked(answered, sum(int(self.is_wrong(one).sum()) for one in checks))
+        if self.check is None:
+            return Checked(0, 0)
+        rows, beyond = np.array(self.check.chosen), np.array(self.check.beyond[: self.check.drawn])
+        known = self.known[rows]
+        return Checked(int(known.sum()), int((known & (self.beyond[rows] != beyond)).sum()))
 
     @property
     def most_wrong(self) -> int:
-        """A bound on the number of wrong predictions without the classifier's word, from the check alone."""
-        return most_wrong(int(self.predicted.sum()), self.checked, OF_BOUND)
+        """A bound on the number of wrong predictions without the classifier's word, from the check alone.
+
+        The check speaks of the predictions from which it was drawn. One that has changed since may be wrong; those that
+        were found wrong later count.
+        """
+        count = int(self.predicted.sum())
+        if self.check is None:
+            return count
+        rows, beyond = np.array(self.check.rows[self.check.drawn :], int), self.check.beyond[self.check.drawn :]
+        differs = self.beyond[rows] != np.array(beyond, bool)
+        found = int((self.known[rows] & differs).sum())
+        unchanged = int((self.predicted[rows] & ~differs).sum())
+        left = max(0, most_wrong(len(rows), self.checked, OF_BOUND) - found)
+        return count - unchanged + min(unchanged, left)
 
     @cached_property
     def _drawn(self) -> Array:
@@ -199,12 +216,12 @@ class Stripes:
             stripe = self._stripe(question, outcome, values, F, wrong, kept.rounds(), began)
             handed_out = are_among(values.X, HandedOut.of(self.store).in_flight.designs)
             is_open = stripe.predicted & ~handed_out
-            rows = [row for one in stripe.rounds[-1:] for row in one.rows if is_open[row]]
+            rows = [row for one in stripe.rounds[-1:] for row in one.chosen if is_open[row]]
             if not rows:
-                if not (chosen := self._chosen(stripe, is_open, order)).rows:
+                if not (one := self._chosen(stripe, is_open, order)).rows:
                     return stripe
-                kept.add(chosen)
-                rows = chosen.rows
+                kept.add(one)
+                rows = one.chosen
             self._simulate(stripe, np.array(rows))
 
     def by_classifier(self, question: Question, outcome: str) -> float:
@@ -251,15 +268,14 @@ class Stripes:
     def _chosen(self, stripe: Stripe, is_open: NDArray[np.bool_], order: NDArray[np.intp]) -> Round:
         """The next values to simulate; none if the question is answered."""
         rows: list[int] = []
-        checked, predicted = any(one.predicted for one in stripe.rounds), 0
-        if not checked and stripe.doubted <= stripe.wrong:
-            predicted = int(is_open.sum())
-            size = max(_LEAST_CHECKED, math.ceil(_CHECKED * predicted))
-            rows = order[is_open[order]][:size].tolist()
+        drawn = 0
+        if stripe.check is None and stripe.doubted <= stripe.wrong:
+            rows = order[is_open[order]].tolist()
+            drawn = max(_LEAST_CHECKED, math.ceil(_CHECKED * len(rows)))
         elif stripe.expected_wrong > stripe.wrong:
             doubtful = np.argsort(-np.where(is_open, stripe.values.weight * stripe.doubt, -1.0), kind="stable")
             rows = doubtful[is_open[doubtful]][: self.at_once].tolist()
-        return Round(rows, stripe.beyond[rows].tolist(), predicted)
+        return Round(rows, stripe.beyond[rows].tolist(), drawn)
 
     def _simulate(self, stripe: Stripe, rows: NDArray[np.intp]) -> None:
         """Simulate values and record the results."""

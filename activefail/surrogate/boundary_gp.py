@@ -48,16 +48,16 @@ class SiteStrategy(torch.nn.Module):
         support: (M, m) features of its support points.
         readout: the matrices of predictions.
         trend: of a mean that is estimated.
-        jitter: added to the variance of a point, and its least value.
+        added: to the variance of a point, and its least value: the jitter, or the noise of a margin.
     """
 
     support: Tensor
     weights: Tensor
     root: Tensor
 
-    def __init__(self, prior: Prior, support: Tensor, readout: Readout, trend: Trend | None, jitter: float) -> None:
+    def __init__(self, prior: Prior, support: Tensor, readout: Readout, trend: Trend | None, added: float) -> None:
         super().__init__()
-        self.prior, self.jitter = prior, jitter
+        self.prior, self.added = prior, added
         self.register_buffer("support", support)
         self.register_buffer("weights", torch.from_numpy(readout.weights))
         self.register_buffer("root", torch.from_numpy(readout.root))
@@ -97,10 +97,10 @@ class SiteStrategy(torch.nn.Module):
         """Means and variances of points, (..., m), each (...,)."""
         mean, shrunk, trend = self.seen(x)
         prior = self.prior.variance(x.reshape(-1, x.shape[-1])).reshape(mean.shape)
-        variance = prior + self.jitter - _squares(shrunk)
+        variance = prior + self.added - _squares(shrunk)
         if trend is not None:
             variance = variance + trend.square()
-        return mean, variance.clamp_min(self.jitter)
+        return mean, variance.clamp_min(self.added)
 
     def forward(self, x: Tensor, prior: bool = False) -> MultivariateNormal:
         """The posterior of points, (..., q, m), or their prior."""
@@ -110,7 +110,7 @@ class SiteStrategy(torch.nn.Module):
             mean, variance = self.marginals(x)
             return MultivariateNormal(mean, DiagLinearOperator(variance))
         mean, shrunk, trend = self.seen(x)
-        K = self.prior.covar_module(x).add_jitter(self.jitter) + MatmulLinearOperator(-shrunk, shrunk.mT)
+        K = self.prior.covar_module(x).add_jitter(self.added) + MatmulLinearOperator(-shrunk, shrunk.mT)
         if trend is not None:
             K = K + MatmulLinearOperator(trend.unsqueeze(-1), trend.unsqueeze(-2))
         return MultivariateNormal(mean, K)
@@ -123,10 +123,10 @@ class _Fantasy(SiteStrategy):
     """
 
     def __init__(self, before: SiteStrategy, P: Tensor, noise: Tensor) -> None:
-        super().__init__(before.prior, P, Readout(np.zeros(0), np.zeros((0, 0))), None, before.jitter)
+        super().__init__(before.prior, P, Readout(np.zeros(0), np.zeros((0, 0))), None, before.added)
         self.before, self.noise, self._at_P = before, noise, before.seen(P)
         S = covariance_between(self.prior, self._at_P, self._at_P, P, P)
-        S.diagonal().add_(self.jitter + noise)
+        S.diagonal().add_(self.added + noise)
         self._inverse = torch.linalg.inv(torch.linalg.cholesky(S))
 
     def _seen(self, x: Tensor) -> Seen:
@@ -213,7 +213,7 @@ class BoundaryModel(ApproximateGPyTorchModel):
         with torch.no_grad():
             seen = self.strategy.seen(F)
             K = covariance_between(self.strategy.prior, seen, seen, F, F)
-        K.diagonal().add_(self.strategy.jitter)
+        K.diagonal().add_(self.strategy.added)
         return seen.mean, K
 
     def keeping(self, *points: Tensor) -> AbstractContextManager[None]:

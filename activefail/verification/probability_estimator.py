@@ -135,9 +135,9 @@ class Sampled:
         """The probability with an interval of this confidence, at least those of the more severe outcomes."""
         estimates = [one._of_outcome(confidence) for one in (self, *self.severer)]
         largest = {name: max(getattr(one, name) for one in estimates) for name in ("probability", "low", "high")}
-        wrong = estimates[0].wrong if self.repeatable else estimates[0].surprising
+        contradictions = estimates[0].contradictions if self.repeatable else estimates[0].surprising
         modes = () if self.modes is None else self.modes.shares(confidence)
-        return replace(estimates[0], lost=self.lost, wrong=wrong, modes=modes, **largest)
+        return replace(estimates[0], lost=self.lost, contradictions=contradictions, modes=modes, **largest)
 
     def _of_outcome(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""

@@ -1,5 +1,7 @@
 """The designer's terms of a bearing against its simulated motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ ROWS = TABLE_1.from_unit(np.random.default_rng(3).random((12, 9)))[:, :7]
 
 
 def terms_of(row: Array) -> Terms:
-    terms = Terms.of(dict(zip(TABLE_1.names, row.tolist(), strict=False)), MODEL.slider_diameter)
+    terms = Terms.of(dict(zip(TABLE_1.names, row.tolist(), strict=False)), MODEL)
     assert terms is not None
     return terms
 
@@ -49,6 +51,16 @@ def test_small_swings_have_the_period_of_the_effective_radius() -> None:
 
 def test_a_bearing_without_all_values_or_with_an_impossible_slider_has_no_terms() -> None:
     values = dict(zip(TABLE_1.names, ROWS[0].tolist(), strict=False))
-    assert Terms.of({name: value for name, value in values.items() if name != "h_sl_ratio"}, 0.3) is None
-    assert Terms.of(values | {"D_tot": 9.0}, 0.3) is None
-    assert Terms.of(values | {"h_sl_ratio": 100.0}, 0.3) is None
+    assert Terms.of({name: value for name, value in values.items() if name != "h_sl_ratio"}, MODEL) is None
+    assert Terms.of(values | {"D_tot": 9.0}, MODEL) is None
+    assert Terms.of(values | {"h_sl_ratio": 100.0}, MODEL) is None
+
+
+def test_a_bearing_without_rims_has_edges_instead() -> None:
+    values = dict(zip(TABLE_1.names, ROWS[0].tolist(), strict=False))
+    none, rigid = Terms.of(values, replace(MODEL, rim="none")), Terms.of(values, MODEL)
+    assert none is not None
+    assert rigid is not None
+    assert none.rim_displacement == rigid.rim_displacement
+    assert "touched by the slider" in rigid.text
+    assert "rims: none; the slider is at the edges of its dishes at" in none.text

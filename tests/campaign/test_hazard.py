@@ -689,5 +689,11 @@ def test_the_interval_of_all_rows_is_that_of_the_numerical_failures() -> None:
     beyond, answered = np.array([True, True, False, False]), np.array([True, True, False, True])
     found = Sampled(plan, beyond, answered, np.arange(4)).estimate(0.9)
     assert (found.low, found.probability, found.high) == pytest.approx((0.75, 0.75, 0.875))
-    assert (found.simulations, found.unanswered, found.beyond, found.wrong, found.surprising) == (4, 1, 2, 2, 1)
+    assert (found.simulations, found.unanswered, found.beyond, found.contradictions, found.surprising) == (
+        4,
+        1,
+        2,
+        2,
+        1,
+    )
     assert (found.recall, found.recall_low) == pytest.approx((2 / 3, 0.5 / 0.875))

@@ -4,6 +4,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -24,6 +26,7 @@ from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.progress import Observer, Progress
 from activefail.loop.running import run
+from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
@@ -308,6 +311,71 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
     rows = record(folder)
     assert rows[: len(before)] == before
     assert len({(row["x"], row["y"]) for row in rows}) == 24
+
+
+LONG = """
+seed = 11
+simulator = { python = "sleepy:run", time_limit = 3.0, repeatable = true }
+sampling = { initial = 40, budget = 200, batch = 20, asynchronous = false }
+limits.numerical_failures = 0.2
+[space]
+x = { low = 0.0, high = 4.0 }
+y = { low = 1.0, high = 3.0 }
+"""
+
+# Every run leaves a line when it begins.
+SLEEPY = """
+import os, pathlib, time
+def run(design):
+    line = f"{design['x']!r},{design['y']!r}\\n".encode()
+    file = os.open(pathlib.Path(__file__).with_name("begun"), os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    os.write(file, line)
+    os.close(file)
+    time.sleep(60.0 if 2.0 < design["y"] < 2.03 else 0.05)
+    return "failure" if design["x"] > 1.5 + 0.2 * design["y"] else "safe"
+"""
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("asynchronous", some([False, True], False))
+def test_a_campaign_that_is_killed_twice_repeats_only_what_was_in_flight(
+    cluster: Cluster, tmp_path: Path, asynchronous: bool
+) -> None:
+    rng, folder, flights = np.random.default_rng(), tmp_path / "run", set[tuple[float, float]]()
+    begun = tmp_path / "begun"
+    (tmp_path / "sleepy.py").write_text(SLEEPY)
+    (tmp_path / "long.toml").write_text(LONG.replace("false", str(asynchronous).lower()))
+    dask = ("--executor", "dask", "--scheduler", cluster.address)
+    words: tuple[str | Path, ...] = ("run", tmp_path / "long.toml", "--out", folder, *dask)
+    for low, high, lost, added in ((45, 90, "one", "three"), (120, 190, "two", "four")):
+        at = int(rng.integers(low, high))
+        with started(*words) as process:
+            until(lambda at=at: begun.exists() and begun.read_text().count("\n") >= at)
+            cluster.workers[lost].kill()
+            cluster.workers[lost].wait()
+            cluster.add(added)
+            time.sleep(rng.uniform(0.0, 0.5))
+            process.kill()
+            assert process.wait() == -signal.SIGKILL
+        before = record(folder)
+        with open_run(folder, code=tmp_path) as opened:
+            flight = set(map(tuple, opened.handed_out.in_flight.designs.tolist()))
+        assert len(flight) <= 20
+        flights |= flight
+        words = ("resume", folder, "--code", tmp_path, *dask)
+    result = activefail(*words)
+    assert result.code == 0, result.err
+    rows = record(folder)
+    assert rows[: len(before)] == before
+    designs = [(float(row["x"]), float(row["y"])) for row in rows]
+    assert len(designs) == len(set(designs)) == 200
+    hang = {design for design in designs if 2.0 < design[1] < 2.03}
+    assert {design for design, row in zip(designs, rows, strict=True) if row["cause"] == "time_limit"} == hang != set()
+    times = Counter(tuple(map(float, line.split(","))) for line in begun.read_text().splitlines())
+    assert times.keys() == set(designs)
+    # A worker had one simulation, which another one repeated, and one that reaches its time limit is tried again.
+    repeated = {design for design, number in times.items() if number > 1}
+    assert len(repeated - flights - hang) <= 2
 
 
 def hear(process: subprocess.Popen[str], start: str) -> None:

@@ -71,7 +71,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_w
 def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
     plan = planned(trained(four_branch, 30, 1), 20, 1)
     same = plan.estimate(plan.predicted, np.ones(20, dtype=bool), 0.9)
-    assert same.wrong == 0
+    assert same.contradictions == 0
     assert same.probability == pytest.approx(plan.probability)
     assert same.high - same.low > 3.0 * plan.standard_error
 
@@ -133,7 +133,7 @@ def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
         doubts=lambda _: (Doubt(0.008, 0.0), Doubt(0.002, 0.0)),
     )
     estimate = plan.estimate(np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
-    assert (estimate.wrong, estimate.surprising, estimate.beyond) == (2, 1, 3)
+    assert (estimate.contradictions, estimate.surprising, estimate.beyond) == (2, 1, 3)
     assert estimate.recall == pytest.approx(0.1 / (0.1 + 2.0 / 3.0))
     assert estimate.recall_low < estimate.recall
     assert estimate.probability == pytest.approx(0.1 + 2.0 / 3.0)

@@ -123,7 +123,7 @@ def test_without_a_wrong_prediction_the_interval_keeps_a_width_that_falls_with_t
         plan = plan_of(0.12, m, 0)
         estimate = plan.estimate(plan.predicted, all_answered(plan), 0.9)
         assert estimate.probability == pytest.approx(plan.probability, abs=1e-3)
-        assert estimate.wrong == 0
+        assert estimate.contradictions == 0
         widths.append(estimate.high - estimate.low)
     assert widths[0] > 1.5 * widths[1] > 2.0 * widths[2] > 0.0
 

@@ -1,5 +1,6 @@
 """Probabilities over finitely many values: which are simulated, what is kept, and what the intervals say."""
 
+import inspect
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,11 +24,12 @@ from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
+from activefail.requests import ProbabilityRequest
 from activefail.risk.ida.collapse import fit_lognormal
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array, DesignSpace
 from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
-from activefail.stripes.stripe import Stripe, Stripes
+from activefail.stripes.stripe import Round, Stripe, Stripes
 from activefail.surrogate.moments import Moments
 from activefail.surrogate.threads import one_thread
 
@@ -218,7 +220,7 @@ def test_the_check_catches_a_classifier_that_is_wrong_where_it_is_sure() -> None
     object.__setattr__(sure, "latents", (sure,))
     stripe = found.ask(learn=lambda: sure)
     assert stripe.doubted < 1e-8
-    assert stripe.checked.wrong
+    assert stripe.checked.contradicted
     assert round(abs(stripe.probability - truth(2.0)) * VALUES) <= 3
     assert stripe.predicted.sum() < 0.35 * VALUES
     assert holds(stripe, truth(2.0))
@@ -293,6 +295,27 @@ def test_the_check_alone_bounds_the_number_of_wrong_predictions() -> None:
     assert most_wrong(2, Checked(2, 0), 0.8) == 1
 
 
+def test_the_bound_of_the_check_is_one_on_the_present_predictions() -> None:
+    found = ran()
+    stripe = found.ask()
+    assert stripe.check is not None
+    rows = stripe.check.rows
+    assert sorted(rows) == sorted(set(rows))
+    # As if the check had been drawn from all values, and the first four simulated.
+    check = Round(list(range(VALUES)), [False] * VALUES, 4)
+    known, safe = np.arange(VALUES) < 4, np.zeros(VALUES, bool)
+    at_once = replace(stripe, rounds=(check,), known=known, beyond=safe)
+    bound = most_wrong(VALUES - 4, Checked(4, 0), 0.9)
+    assert at_once.most_wrong == bound < VALUES - 4
+    # Two predictions have changed since: each may be wrong beside those of before.
+    changed = replace(at_once, beyond=np.arange(VALUES) >= VALUES - 2)
+    assert changed.most_wrong == bound + 2
+    # Simulations found two of them wrong: they are no longer predicted, and so many fewer are wrong.
+    later = replace(at_once, beyond=np.arange(VALUES) >= VALUES - 2, known=known | (np.arange(VALUES) >= VALUES - 2))
+    assert later.most_wrong == bound - 2
+    assert replace(at_once, rounds=()).most_wrong == VALUES - 4
+
+
 def test_the_interval_of_others_is_that_of_independent_values_or_of_groups() -> None:
     weight, exact = np.full(40, 1.0 / 40.0), np.zeros(4)
     beyond = np.arange(40) < 10
@@ -355,6 +378,41 @@ def test_the_command_names_both_intervals_and_its_json_has_them(folder: Path, mo
 )
 def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ...], rule: str) -> None:
     refused(activefail("probability", folder / "run", "--code", folder, "--wrong", "0.01", *words), rule)
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "rule"),
+    [
+        ("probability", "--wrong 0.01 --simulations 50", "simulations: cannot be combined with wrong."),
+        ("probability", "--at-once 3", "at_once: requires wrong."),
+        ("design", "--target 0.1 --wrong 0.01 --simulations 200", "simulations: cannot be combined with wrong."),
+        ("design", "--target 0.1 --wrong 0.01 --cost 2*x", "cost: cannot be combined with wrong."),
+        ("design", "--target 0.1 --wrong 0.01 --chart --out OUT", "chart: cannot be combined with wrong."),
+        ("design", "--target 0.1 --chart", "--chart: requires --out."),
+        ("design", "--target 0.1 --at-once 2", "at_once: requires wrong."),
+        ("fragility", "--against x --wrong 0.01 --verify 100", "verify: cannot be combined with wrong."),
+        ("fragility", "--wrong 0.01 --hazard site.toml", "hazard: cannot be combined with wrong."),
+        ("fragility", "--against x --intensity pgv", "intensity: requires hazard."),
+        ("fragility", "--hazard site.toml --range 1,2", "bounds: requires against."),
+    ],
+)
+def test_an_option_of_another_way_of_answering_is_refused(
+    folder: Path, tmp_path: Path, command: str, words: str, rule: str
+) -> None:
+    shown = activefail(command, folder / "run", "--code", folder, *words.replace("OUT", str(tmp_path / "out")).split())
+    refused(shown, rule)
+
+
+def test_python_refuses_them_too_and_shows_their_defaults(folder: Path) -> None:
+    with open_run(folder / "run", code=folder) as opened:
+        for words, rule in (
+            ({"wrong": 0.01, "simulations": 50}, "simulations: cannot be combined with wrong."),
+            ({"at_once": 3}, "at_once: requires wrong."),
+        ):
+            with pytest.raises(InputError, match=rule):
+                opened.probability(**words)
+        assert inspect.signature(opened.probability).parameters["simulations"].default == 50
+        assert ProbabilityRequest().simulations == 50
 
 
 # --- design ---------------------------------------------------------------------------------------------------------
@@ -420,11 +478,8 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     assert any(line.startswith("median") for line in again.out.splitlines())
 
 
-def test_a_curve_by_stripes_has_a_variable_and_nothing_else_to_verify(folder: Path) -> None:
+def test_a_curve_by_stripes_has_levels_between_safe_and_failed(folder: Path) -> None:
     words = ("fragility", folder / "run", "--code", folder, "--wrong", "0.01", "--against", "x")
-    refused(
-        activefail(*words, "--fixed", "y=1", "--verify", "100"), "wrong: requires against, without hazard and verify"
-    )
     refused(activefail(*words), "y is continuous")
     flat = activefail(*words, "--fixed", "y=1", "--range", "0,0.2")
     assert flat.code == 2

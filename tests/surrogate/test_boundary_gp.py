@@ -47,7 +47,7 @@ class Stock(gpytorch.models.ApproximateGP):
         )
         super().__init__(
             gpytorch.variational.VariationalStrategy(
-                self, Z, distribution, learn_inducing_locations=False, jitter_val=strategy.jitter
+                self, Z, distribution, learn_inducing_locations=False, jitter_val=strategy.added
             )
         )
         self.variational_strategy.variational_params_initialized.fill_(1)
@@ -157,7 +157,7 @@ def test_points_read_before_have_a_gradient(model):
 
 
 def test_a_fantasy_keeps_the_mean_and_conditions_the_covariance_on_noisy_observations(model):
-    (mean, covariance), jitter = model.joint(FRESH), model.strategy.jitter * torch.eye(30, dtype=torch.float64)
+    (mean, covariance), jitter = model.joint(FRESH), model.strategy.added * torch.eye(30, dtype=torch.float64)
     after_mean, after = fantasised(model, FRESH[:6]).joint(FRESH)
     assert torch.allclose(after_mean, mean, atol=1e-9)
     # Textbook conditioning, with the noise of each site: the precision that its label adds after those before it.

@@ -131,12 +131,10 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
         wrong: as for `Stripes.ask`.
 
     Raises:
-        InputError: if the task has another cost, several free variables, or risks in a number of years.
+        InputError: if the task has several free variables, or risks in a number of years.
     """
-    if len(task.free) > 1 or task.cost_text != task.free[0]:
-        raise InputError(
-            "wrong: requires one free variable, which is made small; leave --cost out, and fix the others."
-        )
+    if len(task.free) > 1:
+        raise InputError("wrong: requires one free variable, which is made small; fix the others.")
     if task.rate is not None:
         raise InputError("wrong: requires a target probability, not a risk in a number of years.")
     name = task.free[0]

@@ -346,11 +346,12 @@ class DesignFindings:
                 )
                 rows.append(("risk", text))
         estimates = [estimate for look in designed.looks for estimate in look.estimates]
-        wrong, failed = (sum(getattr(one, name) for one in estimates) for name in ("wrong", "unanswered"))
+        contradicted, failed = sum(one.contradictions for one in estimates), sum(one.unanswered for one in estimates)
         failures = f", {failed} are numerical failures" if failed else ""
         text = (
-            f"{designed.simulations} fresh simulations, contradictions: {wrong}{failures}; {len(designed.looks)} of at "
-            f"most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the result"
+            f"{designed.simulations} fresh simulations, contradictions: {contradicted}{failures}; "
+            f"{len(designed.looks)} of at most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the "
+            "result"
         )
         rows.append(("from", text))
         if task.cost_text != first:

@@ -276,7 +276,7 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
         text = (
             f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
             f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
-            f"simulations, contradictions: {estimate.wrong}"
+            f"simulations, contradictions: {estimate.contradictions}"
         )
         rows.append(("verified", text))
     if one.deaggregation is not None:

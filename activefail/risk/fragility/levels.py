@@ -62,14 +62,11 @@ def ladder_of(
         InputError: naming the argument, the rule and the value.
     """
     if asked.hazard is not None:
-        for name, value in (("against", against), (_BOUNDS, bounds)):
-            if value is not None:
-                raise InputError(f"{name}: cannot be combined with hazard.")
+        if against is not None:
+            raise InputError("against: cannot be combined with hazard.")
         return intensity_ladder(intensity, asked.hazard)
     if against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
-    if intensity != "pgv":
-        raise InputError("intensity: requires hazard; name the variable with against.")
     question, space = asked.question, asked.campaign.space
     if any(one.name == against and one.choices for one in space.parameters):
         raise InputError(f"against: {against} has choices without order; give it one by `fixed`, a curve for each.")

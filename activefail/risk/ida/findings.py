@@ -41,7 +41,7 @@ class IdaFindings:
     def terms(self) -> Terms | None:
         """The bearing in the designer's terms; None for a campaign's simulator."""
         one = self.subject
-        return Terms.of(one.values, one.model.slider_diameter) if isinstance(one, BearingSubject) else None
+        return Terms.of(one.values, one.model) if isinstance(one, BearingSubject) else None
 
     def _fitted(self, capacities: Capacities) -> Fragility | None:
         return fitted(capacities.below, capacities.capacity, [record.event for record in self.records.records])
