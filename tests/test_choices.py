@@ -165,7 +165,7 @@ def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
         assert estimate.probability == pytest.approx(truth(run.space, there).mean(), abs=0.06)
         for request, rule in (
             (lambda: run.fragility(against="soil"), "against: soil has choices without order"),
-            (lambda: run.design(0.2, free=["soil"]), "free: soil has choices without order"),
+            (lambda: run.design(0.2, free=["soil"], cost="soil"), "cost: 'soil' has texts as choices"),
             (lambda: run.probability(fixed={"soil": "D"}), "soil: must be one of A, B, soft clay, got 'D'"),
         ):
             with pytest.raises(InputError, match=rule):

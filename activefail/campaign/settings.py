@@ -61,6 +61,17 @@ def _is_strong(correlation: object) -> bool:
     )
 
 
+def _file_of(entry: AnyVariable) -> str:
+    """The file of features of a variable's choices, if it has not been read; empty otherwise."""
+    return entry.features if isinstance(entry, Variable) and isinstance(entry.features, str) else ""
+
+
+def _carriers(space: Mapping[str, AnyVariable]) -> dict[str, str]:
+    """By the name of each feature of choices, the name of its variable."""
+    carrying = {name: one.quantities for name, one in space.items() if isinstance(one, Variable)}
+    return {feature: name for name, features in carrying.items() for feature in features}
+
+
 def _table_1() -> dict[str, AnyVariable]:
     return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
 
@@ -166,8 +177,10 @@ class CampaignSettings(Section):
     @field_validator("constraints")
     @classmethod
     def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
-        for text in texts if "space" in info.data else ():  # which has its own error otherwise
-            constraint = parse_constraint(text, info.data["space"])
+        # Without a space, that has its own error; with a file that has not been read, names are unknown.
+        is_known = "space" in info.data and not any(_file_of(one) for one in info.data["space"].values())
+        for text in texts if is_known else ():
+            constraint = parse_constraint(text, info.data["space"], _carriers(info.data["space"]))
             for name, entry in info.data["space"].items():
                 if name in constraint.names and getattr(entry, "has_texts", False):
                     raise ValueError(f"{name!r} has texts as choices, which no expression takes; in {text!r}")
@@ -242,7 +255,8 @@ class CampaignSettings(Section):
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
         parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())
-        constraints = tuple(parse_constraint(text, self.space) for text in self.constraints)
+        carriers = _carriers(self.space)
+        constraints = tuple(parse_constraint(text, self.space, carriers) for text in self.constraints)
         return DesignSpace(parameters, fixed, tuple(self.correlation), constraints)
 
     def text(self) -> str:
@@ -258,8 +272,17 @@ class CampaignSettings(Section):
         overrides = {"seed": seed, "sampling.budget": budget}
         return self.changed({key: value for key, value in overrides.items() if value is not None})
 
-    def changed(self, changes: Mapping[str, Any]) -> "CampaignSettings":
+    @property
+    def feature_files(self) -> dict[str, str]:
+        """By variable, the files of features of its choices that have not been read."""
+        return {name: file for name, one in self.space.items() if (file := _file_of(one))}
+
+    def changed(self, changes: Mapping[str, Any], source: str = "command line") -> "CampaignSettings":
         """The settings with other values for some keys, like "sampling.budget".
+
+        Args:
+            changes: the values.
+            source: names them in errors.
 
         Raises:
             InputError: if one breaks a rule.
@@ -271,7 +294,7 @@ class CampaignSettings(Section):
             for part in sections:
                 section = section[part]
             section[name] = value
-        return checked(CampaignSettings, values, "command line")
+        return checked(CampaignSettings, values, source)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
