@@ -390,7 +390,7 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
             raise InputError(f"classifier.features.expressions.{name}: must not have the name of another quantity.")
         try:
             expressions.append(parse_expression(text, known))
-            check_no_texts(expressions[-1], space)
+            check_no_texts(expressions[-1], space.texts)
         except ValueError as error:
             raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
 

@@ -313,12 +313,17 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
 def _written(text: str, space: DesignSpace) -> dict[str, Any]:
     """Values by name in a text such as "T_b=4.0,soil=A"; those of variables without choices are numbers.
 
+    What follows a choice and is no value belongs to it: "soil=dense, dry".
+
     Raises:
         InputError: quoting the part that is no value.
     """
     values: dict[str, Any] = {}
-    with_choices = {one.name for one in space.parameters if one.choices}
+    with_choices, name = {one.name for one in space.parameters if one.choices}, ""
     for part in text.split(","):
+        if "=" not in part and name in with_choices:
+            values[name] += f",{part.rstrip()}"
+            continue
         name, _, word = (piece.strip() for piece in part.partition("="))
         if name in values:
             raise InputError(f"fixed: {name} has two values.")

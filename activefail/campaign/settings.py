@@ -39,7 +39,7 @@ from activefail.campaign.sections import (
 )
 from activefail.errors import InputError
 from activefail.expressions import parse_constraint
-from activefail.space import DesignSpace, radius
+from activefail.space import Constraint, DesignSpace, radius
 from activefail.trust import read_regular
 from activefail.visible import visible
 
@@ -66,10 +66,16 @@ def _file_of(entry: AnyVariable) -> str:
     return entry.features if isinstance(entry, Variable) and isinstance(entry.features, str) else ""
 
 
-def _carriers(space: Mapping[str, AnyVariable]) -> dict[str, str]:
-    """By the name of each feature of choices, the name of its variable."""
-    carrying = {name: one.quantities for name, one in space.items() if isinstance(one, Variable)}
-    return {feature: name for name, features in carrying.items() for feature in features}
+def _constraint(text: str, space: Mapping[str, AnyVariable]) -> Constraint:
+    """A constraint of variables, features of their choices, and fixed quantities.
+
+    Raises:
+        ValueError: as `parse_constraint` does.
+    """
+    features = {name: one.quantities for name, one in space.items() if isinstance(one, Variable)}
+    carriers = {feature: name for name, of in features.items() for feature in of}
+    texts = [name for name, one in space.items() if getattr(one, "has_texts", False)]
+    return parse_constraint(text, space, carriers, texts)
 
 
 def _table_1() -> dict[str, AnyVariable]:
@@ -180,10 +186,7 @@ class CampaignSettings(Section):
         # Without a space, that has its own error; with a file that has not been read, names are unknown.
         is_known = "space" in info.data and not any(_file_of(one) for one in info.data["space"].values())
         for text in texts if is_known else ():
-            constraint = parse_constraint(text, info.data["space"], _carriers(info.data["space"]))
-            for name, entry in info.data["space"].items():
-                if name in constraint.names and getattr(entry, "has_texts", False):
-                    raise ValueError(f"{name!r} has texts as choices, which no expression takes; in {text!r}")
+            _constraint(text, info.data["space"])
         return texts
 
     @model_validator(mode="after")
@@ -255,8 +258,7 @@ class CampaignSettings(Section):
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
         parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())
-        carriers = _carriers(self.space)
-        constraints = tuple(parse_constraint(text, self.space, carriers) for text in self.constraints)
+        constraints = tuple(_constraint(text, self.space) for text in self.constraints)
         return DesignSpace(parameters, fixed, tuple(self.correlation), constraints)
 
     def text(self) -> str:

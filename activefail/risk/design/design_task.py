@@ -127,6 +127,13 @@ class DesignTask:
         return len(self.stepped) == len(self.low)
 
     @property
+    def ranges(self) -> dict[str, list[Any]]:
+        """Both ends of each free variable's range, or its choices."""
+        low, high = (self.asked.campaign.space.written(ends) for ends in (self.low, self.high))
+        choices = {name: list(self.stepped[name].choices) for name in self.choices}
+        return {name: choices.get(name, [low[name], high[name]]) for name in self.free}
+
+    @property
     def choices(self) -> list[str]:
         """Names of the free variables without order."""
         return [name for name, one in self.stepped.items() if one.choices]
@@ -301,7 +308,7 @@ def _cost(
     known = {name: value for name, value in fixed.items() if name not in free}
     try:
         expression = parse_expression(text, space.quantities({**known, **dict.fromkeys(free, 0.0)}).keys())
-        check_no_texts(expression, space)
+        check_no_texts(expression, space.texts)
     except ValueError as error:
         raise InputError(visible(f"cost: {error}.")) from None
 

@@ -294,13 +294,11 @@ class DesignFindings:
             }
             for look in designed.looks
         ]
-        low, high = (self.campaign.space.written(ends) for ends in (task.low, task.high))
-        free = {name: list(one.choices) for name, one in task.stepped.items() if one.choices}
         return json_values(
             {
                 "status": designed.status,
                 "bearing": self.bearing,
-                "free": {name: free.get(name, [low[name], high[name]]) for name in task.free},
+                "free": task.ranges,
                 "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
                 **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
                 "confidence": task.confidence,

@@ -266,7 +266,7 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
     Args:
         aims, model, found: (r,) each; of the classifier, and by simulations, at the design.
     """
-    return np.where(found < model, aims + model - found, aims * model / np.maximum(found, _LEAST))
+    return np.where(found < model, aims + model - found, aims * np.maximum(model, _LEAST) / np.maximum(found, _LEAST))
 
 
 def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
