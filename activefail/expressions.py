@@ -93,11 +93,33 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
     return Expression(text, tree)
 
 
+def check_no_texts(expression: Expression, texts: Collection[str]) -> None:
+    """Check that an expression takes no variable whose choices are texts.
+
+    Args:
+        expression: the expression.
+        texts: the names of these variables.
+
+    Raises:
+        ValueError: naming it.
+    """
+    if taken := expression.names & {*map(parsed_name, texts)}:
+        raise ValueError(f"{min(taken)!r} has texts as choices, which no expression takes; in {expression.text!r}")
+
+
 _RELATION = re.compile(r"<=|>=|<|>")
 
 
-def parse_constraint(text: str, known: Collection[str]) -> Constraint:
+def parse_constraint(
+    text: str, known: Collection[str], carriers: Mapping[str, str], texts: Collection[str]
+) -> Constraint:
     """A constraint: two expressions of known names with <=, >=, < or > between them.
+
+    Args:
+        text: the constraint.
+        known: names of variables and fixed quantities.
+        carriers: names of the variables that features follow from, by the features' names.
+        texts: names of the variables whose choices are texts.
 
     Raises:
         ValueError: naming the part that is neither.
@@ -105,11 +127,13 @@ def parse_constraint(text: str, known: Collection[str]) -> Constraint:
     relations = _RELATION.findall(text)
     if len(relations) != 1:
         raise ValueError(f"must be two expressions with one of <=, >=, <, > between them, got {text!r}")
-    left, right = (parse_expression(side, known) for side in text.split(relations[0]))
+    left, right = (parse_expression(side, (*known, *carriers)) for side in text.split(relations[0]))
     if relations[0].startswith(">"):
         left, right = right, left
-    names = frozenset(name for name in known if parsed_name(name) in left.names | right.names)
-    return Constraint(text, names, left, right, "=" not in relations[0])
+    for side in (left, right):
+        check_no_texts(side, texts)
+    names = {name for name in (*known, *carriers) if parsed_name(name) in left.names | right.names}
+    return Constraint(text, frozenset(carriers.get(name, name) for name in names), left, right, "=" not in relations[0])
 
 
 def _check(node: ast.expr, text: str, known: Collection[str]) -> None:

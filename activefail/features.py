@@ -17,7 +17,7 @@ from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
-from activefail.expressions import Expression, parse_expression, parsed_name
+from activefail.expressions import Expression, check_no_texts, parse_expression
 from activefail.names import FeatureSet
 from activefail.parameter import Parameter, Payload
 from activefail.space import Array, DesignSpace
@@ -249,15 +249,15 @@ def _mapped(
 
 def _check_bearing(features: str, space: DesignSpace, names: Sequence[str] = TABLE_1.names) -> None:
     for name in names:
-        if name not in (*space.names, *space.fixed):
+        if name not in space.known:
             raise InputError(
                 f"classifier.features: {features!r} requires the variables of a bearing, but space lacks the variable "
-                f"{name!r}; its variables are {', '.join((*space.names, *space.fixed))}."
+                f"{name!r}; its variables are {', '.join(space.known)}."
             )
 
 
 def _of_paper(space: DesignSpace) -> FeatureMap:
-    if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
+    if min(space.range_of(name)[0] for name in TABLE_1.names) <= 0.0:
         raise InputError("The paper's features require positive variables, but a lower bound is not positive.")
     return _scaled(
         PAPER_FEATURES,
@@ -326,9 +326,11 @@ def _joined(
 
 
 def _names_of(parameter: Parameter) -> tuple[str, ...]:
-    """The names of a variable's features: of choices, one for each, or for the second of two; of records theirs."""
+    """The names of a variable's features: of choices theirs, or one for each, or for the second of two."""
     if parameter.payload is not None:
         return parameter.payload.feature_names
+    if parameter.features:
+        return tuple(name for name, _ in parameter.features)
     choices = parameter.choices[len(parameter.choices) == 2 :]
     return tuple(f"{parameter.name}={choice}" for choice in choices) if choices else (parameter.name,)
 
@@ -336,7 +338,7 @@ def _names_of(parameter: Parameter) -> tuple[str, ...]:
 def variable_columns(space: DesignSpace, X: Array) -> Array:
     """The variables of designs, (n, d), as features, (n, m).
 
-    Choices are 0 and 1, one column for each; records are their intensities.
+    Choices are their features, or else 0 and 1, one column for each; records are their intensities.
     """
     if not any(parameter.choices for parameter in space.parameters):
         return np.asarray(X)
@@ -345,6 +347,8 @@ def variable_columns(space: DesignSpace, X: Array) -> Array:
     def columns_of(one: Parameter, x: Array) -> Array:
         if one.payload is not None:
             return one.payload.features(x.astype(np.intp), quantities)
+        if one.features:
+            return np.column_stack([*one.carried(x).values()])
         return one.indicators(x) if one.choices else x
 
     return np.column_stack([columns_of(one, x) for one, x in zip(space.parameters, np.asarray(X).T, strict=True)])
@@ -379,15 +383,14 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
 
 
 def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
-    known = (*space.names, *space.fixed)
+    known = space.known
     expressions: list[Expression] = []
     for name, text in features.expressions.items():
         if name in known:
             raise InputError(f"classifier.features.expressions.{name}: must not have the name of another quantity.")
         try:
             expressions.append(parse_expression(text, known))
-            if texts := expressions[-1].names & {*map(parsed_name, space.texts)}:
-                raise ValueError(f"{min(texts)!r} has texts as choices, which no expression takes; in {text!r}")
+            check_no_texts(expressions[-1], space.texts)
         except ValueError as error:
             raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
 

@@ -83,8 +83,8 @@ def exact(value: Choice) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-MOST_CHOICES = 100
-"""Most choices that are features of the classifier, each by itself."""
+MOST_CHOICES, MOST_WITH_FEATURES = 100, 1000
+"""Most choices that are features of the classifier, each by itself; and that have features."""
 
 _LABEL = re.compile(r"""[^\W_](?:[^"'`\\$;|&<>*?!{}]*[^"'`\\$;|&<>*?!{}\s])?""")
 """A text among choices. Spreadsheets, shells and templates take it for nothing else."""
@@ -144,6 +144,24 @@ class Payload(Protocol):
         ...
 
 
+Features = tuple[tuple[str, tuple[float, ...]], ...]
+"""Quantities that follow from a choice: by name, the number of each choice."""
+
+
+def features_fault(features: Mapping[str, Sequence[float]], choices: Sequence[Choice]) -> str:
+    """Why quantities by name do not tell choices apart; empty if they do."""
+    for name, numbers in features.items():
+        if not name.isidentifier():
+            return f"a name in `features` must be an identifier, got {name!r}"
+        if len(numbers) != len(choices):
+            return f"`features` must have one number of {name} for each of {len(choices)} choices, got {list(numbers)}"
+    rows = list(zip(*features.values(), strict=True))
+    for row, choice in zip(rows, choices, strict=False):
+        if (other := choices[rows.index(row)]) != choice:
+            return f"`features` must tell all choices apart, but those of {other!r} and {choice!r} are equal"
+    return "" if rows else "`features` must have at least one quantity"
+
+
 def _masses(
     distribution: Distribution, low: float, high: float, mean: float, sd: float | None
 ) -> tuple[float, float, float]:
@@ -196,6 +214,7 @@ class Parameter:
         groups: of each choice, what it belongs to: the event of a record. Choices of one group are not independent
             samples of their kind. None if the choices are no sample.
         payload: what the choices stand for; None if they are nothing but texts or numbers.
+        features: quantities that follow from the choice. The classifier sees them in place of the choice.
 
     Raises:
         InputError: if the name is not an identifier or the numbers do not define a distribution.
@@ -213,20 +232,29 @@ class Parameter:
     probabilities: tuple[float, ...] = field(default=(), repr=False)
     groups: tuple[str, ...] | None = field(default=None, repr=False)
     payload: Payload | None = field(default=None, repr=False)
+    features: Features = field(default=(), repr=False)
 
     @classmethod
     def of_choices(
-        cls, name: str, choices: Sequence[Choice], probabilities: Sequence[float] = (), unit: str = ""
+        cls,
+        name: str,
+        choices: Sequence[Choice],
+        probabilities: Sequence[float] = (),
+        unit: str = "",
+        features: Features = (),
     ) -> "Parameter":
         """A variable with choices, equally probable unless probabilities are given.
 
         Raises:
             InputError: if they break a rule.
         """
-        if fault := choices_fault(choices, probabilities):
+        fault = choices_fault(choices, probabilities, MOST_CHOICES if not features else MOST_WITH_FEATURES)
+        if fault := fault or (features_fault(dict(features), choices) if features else ""):
             raise InputError(f"The variable {name!r}: {fault}.")
-        shares = tuple(probabilities) or (1.0 / len(choices),) * len(choices)
-        return cls(name, 0.0, len(choices) - 1.0, unit, step=1.0, choices=tuple(choices), probabilities=shares)
+        shares, last = tuple(probabilities) or (1.0 / len(choices),) * len(choices), len(choices) - 1.0
+        return cls(
+            name, 0.0, last, unit, step=1.0, choices=tuple(choices), probabilities=shares, features=tuple(features)
+        )
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -309,6 +337,10 @@ class Parameter:
         if not self.choices or self.has_texts:
             return x
         return np.asarray(np.array(self.choices, dtype=np.float64)[np.asarray(x).astype(int)])
+
+    def carried(self, x: Any) -> dict[str, Any]:
+        """The features of choices of any shape, by name."""
+        return {name: np.array(numbers)[np.asarray(x).astype(int)] for name, numbers in self.features}
 
     def indicators(self, x: Array) -> Array:
         """Which choice each value is, (n,) -> (n, k), as 0 and 1; of two choices the second, (n, 1)."""

@@ -77,7 +77,7 @@ class Constraint:
 
     Attributes:
         text: as a user writes it.
-        names: of the quantities.
+        names: of the quantities; of a feature of choices that of its variable.
         left, right: of quantities by name, numbers or arrays.
         is_strict: whether equality breaks it.
     """
@@ -215,10 +215,33 @@ class DesignSpace:
         return DesignSpace(kept, self.quantities({name: value}), pairs, self.constraints)
 
     def quantities(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values of variables by name, as expressions and formulas take them, with the fixed quantities."""
+        """Values of variables by name, as expressions and formulas take them, with features and fixed quantities."""
         variables = {parameter.name: parameter for parameter in self.parameters}
         taken = {name: variables[name].quantities(x) if name in variables else x for name, x in values.items()}
-        return {**taken, **self.fixed}
+        carried = {
+            feature: x
+            for name, value in values.items()
+            if name in variables
+            for feature, x in variables[name].carried(value).items()
+        }
+        return {**taken, **carried, **self.fixed}
+
+    @property
+    def carriers(self) -> dict[str, str]:
+        """By the name of each feature of choices, the name of its variable."""
+        return {feature: one.name for one in self.parameters for feature, _ in one.features}
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of all quantities of a design: variables, features of choices, and fixed ones."""
+        return (*self.names, *self.carriers, *self.fixed)
+
+    def range_of(self, name: str) -> tuple[float, float]:
+        """The least and the largest value of a quantity; see `pick`."""
+        ends = [one.values if one.choices else np.array([one.low, one.high]) for one in self.parameters]
+        most = max(map(len, ends))
+        (x,) = self.pick([np.resize(one, most) for one in ends], (name,))
+        return float(np.min(x)), float(np.max(x))
 
     def written(self, values: Mapping[str, float]) -> dict[str, Any]:
         """Values of variables by name, as people see them: choices, and whole numbers as integers."""

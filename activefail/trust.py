@@ -3,8 +3,8 @@
 - **Code** runs only from a folder that the user names, or named before for the same run folder, and never from the run
   folder itself (`simulators.user_code`, `campaign.known_code`). Nothing is unpickled, and expressions are parsed
   (`expressions`).
-- **Links** in a run folder are refused once, when it is opened (`refuse_links`); a file that a hazard names lies in the
-  folder of the hazard. A path that the user names may be a link.
+- **Links** in a run folder are refused once, when it is opened (`refuse_links`); a table that a
+  hazard or a campaign file names lies in its folder (`path_beside`). A path that the user names may be a link.
 - **Sizes** are bounded where bytes enter: a file of a run folder or of a record by `read_regular`, TOML by its reader,
   a table that comes with a hazard or with records by its rows; a table of designs is read in parts (`csv_table`).
 - **Text** leaves with its control characters escaped: errors by themselves (`errors.ActivefailError`), all output of a
@@ -16,7 +16,7 @@ import stat
 from collections.abc import Sequence
 from pathlib import Path
 
-from activefail.errors import StoreError
+from activefail.errors import InputError, StoreError
 
 
 def read_regular(path: Path, most: int, follow: bool = False, private: bool = False) -> bytes:
@@ -47,6 +47,18 @@ def read_regular(path: Path, most: int, follow: bool = False, private: bool = Fa
     if status.st_size > most or len(data) > most:
         raise ValueError(f"is larger than {most} bytes")
     return data
+
+
+def path_beside(folder: Path, name: str, of: str) -> Path:
+    """The path of a file that another one, `of`, names: it may come from someone else, and messages quote cells.
+
+    Raises:
+        InputError: if it is not in the folder.
+    """
+    path = folder / name
+    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise InputError(f"must be a file in the folder of the {of}, got {name!r}.")
+    return path
 
 
 def refuse_links(folder: Path, names: Sequence[str]) -> None:

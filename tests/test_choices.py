@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -23,7 +24,10 @@ from activefail.explorer.answers import Answers
 from activefail.features import feature_map
 from activefail.figures.outcome_planes import coordinates
 from activefail.parameter import Parameter
+from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.design.search import cheapest
 from activefail.risk.sensitivity.calculation import sensitivity
+from activefail.simulators.returned import designs_by_name
 from activefail.space import DesignSpace
 
 SOIL = Parameter.of_choices("soil", ("A", "B", "soft clay"), (0.2, 0.5, 0.3))
@@ -165,7 +169,7 @@ def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
         assert estimate.probability == pytest.approx(truth(run.space, there).mean(), abs=0.06)
         for request, rule in (
             (lambda: run.fragility(against="soil"), "against: soil has choices without order"),
-            (lambda: run.design(0.2, free=["soil"]), "free: soil has choices without order"),
+            (lambda: run.design(0.2, free=["soil"], cost="soil"), "cost: 'soil' has texts as choices"),
             (lambda: run.probability(fixed={"soil": "D"}), "soil: must be one of A, B, soft clay, got 'D'"),
         ):
             with pytest.raises(InputError, match=rule):
@@ -316,3 +320,186 @@ def test_a_program_gets_the_texts_in_its_command_its_environment_and_its_files(t
             assert said.startswith(f"{soil} {soil}\n{{")
             assert json.loads((Path(folder) / "design.json").read_text())["soil"] == soil
             assert f"soil {soil}, " in said
+
+
+# --- features and catalogues ----------------------------------------------------------------------------------------
+
+CATALOGUE = """
+simulator = { python = "mine:beam", margins = ["reserve"] }
+seed = 5
+
+[space]
+load = { low = 5, high = 60, step = 5, unit = "kN" }
+width = { low = 0.2, high = 1.0, step = 0.2, unit = "m" }
+steel = { choices = ["soft", "hard, hot rolled", "special"], features = "steels.csv" }
+
+[sampling]
+initial = 20
+budget = 50
+"""
+
+BEAM = """
+def beam(design):
+    assert design["steel"] in ("soft", "hard, hot rolled", "special")
+    return design["strength"] * design["width"] + 1.0 - design["load"]
+"""
+
+STEELS = 'price,steel,strength\n1.5,"hard, hot rolled",60\n1,soft,40\n2.5,special,90\n'
+
+STRENGTH, PRICE = (
+    {"soft": 40, "hard, hot rolled": 60, "special": 90},
+    {"soft": 1, "hard, hot rolled": 1.5, "special": 2.5},
+)
+
+
+def share_failing(width: float, steel: str) -> float:
+    """The probability that a beam fails under the loads of the catalogue's campaign."""
+    return float(np.mean(STRENGTH[steel] * width + 1.0 <= np.arange(5, 65, 5)))
+
+
+@pytest.fixture(scope="module")
+def beams(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("beams")
+    (home / "steels.csv").write_text(STEELS)
+    return ran_in(home, CATALOGUE, BEAM)
+
+
+def test_features_of_choices_come_from_a_file_which_the_run_folder_needs_no_longer(beams: Path) -> None:
+    (beams / "steels.csv").rename(beams / "gone.csv")
+    try:
+        with open_run(beams / "run", code=beams) as run:
+            assert run.campaign.features.names == ("load", "width", "price", "strength")
+            steel = run.space.parameters[2]
+            assert dict(steel.features) == {"price": (1.0, 1.5, 2.5), "strength": (40.0, 60.0, 90.0)}
+            X = run.space.random(200, np.random.default_rng(0))
+            table = run.space.columns(X)
+            truth = np.array([STRENGTH[one] for one in table["steel"]]) * table["width"] + 1.0 <= table["load"]
+            assert ((run.predict(pd.DataFrame(table))["p_failure"] > 0.5) != truth).mean() <= 0.01
+    finally:
+        (beams / "gone.csv").rename(beams / "steels.csv")
+
+
+@pytest.mark.parametrize(
+    ("steels", "rule"),
+    [
+        ('"hard, hot rolled",60\nsoft,40\n', "must have a row for each choice, but lacks special"),
+        ('"hard, hot rolled",60\nsoft,40\nspecial,90\nsoft,50\n', "must be another choice than in"),
+        ('"hard, hot rolled",60\nsoft,40\nspecial,much\n', "column strength: must be a number, got 'much'"),
+        ('"hard, hot rolled",60\nsoft,40\nspecial,\n', "column strength: must be a finite number, got an empty cell"),
+        ('"hard, hot rolled",60\nsoft,40\nspecial,60\n', "those of 'hard, hot rolled' and 'special' are equal"),
+        ('"hard, hot rolled",60\nsoft,40\nwood,90\n', "column steel: must be one of soft, hard, hot rolled, special"),
+        (None, "steels.csv: cannot be read"),
+    ],
+)
+def test_a_file_of_features_that_says_too_little_is_refused(tmp_path: Path, steels: str | None, rule: str) -> None:
+    if steels is not None:
+        (tmp_path / "steels.csv").write_text(f"steel,strength\n{steels}")
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(CATALOGUE, "f"), tmp_path)
+    assert rule in str(refused.value)
+    assert "steel" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("features", "rule"),
+    [
+        ('"../steels.csv"', "space.steel.features: must be a file in the folder of the campaign file"),
+        ('"steel.csv"', "steel.csv: column 'steel': required, but missing"),
+        ("{ load = [1, 2, 3] }", "space.steel.features.load: 'load' is already the name of the quantity space.load"),
+        ("{ reserve = [1, 2, 3] }", "'reserve' is already the name of the quantity space.steel.features.reserve"),
+        ("{ p_failure = [1, 2, 3] }", "'p_failure' is already the name of a column that `activefail predict` adds"),
+        ("{ strength = [1, 2] }", "must have one number of strength for each of 3 choices, got [1.0, 2.0]"),
+        ("{ strength = [1, 2, 1] }", "those of 'soft' and 'special' are equal"),
+        ('{ "the strength" = [1, 2, 3] }', "must be an identifier, got 'the strength'"),
+        ("{}", "`features` must have at least one quantity"),
+        ("{ strength = [1, 2, nan] }", "space.steel.features.strength.2"),
+        ("7", "space.steel.features"),
+    ],
+)
+def test_features_that_make_no_sense_are_refused(tmp_path: Path, features: str, rule: str) -> None:
+    (tmp_path / "steel.csv").write_text("strength\n3\n")
+    (tmp_path / "mine.py").write_text(BEAM)
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(CATALOGUE.replace('"steels.csv"', features), "f"), tmp_path)
+    assert rule in str(refused.value)
+
+
+def test_constraints_know_features_of_a_file_and_an_unknown_name_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "steels.csv").write_text(STEELS)
+    (tmp_path / "mine.py").write_text(BEAM)
+    settings = parse_settings('constraints = ["strength * width <= 60"]\n' + CATALOGUE, "f")
+    space = Campaign.of(settings, tmp_path).space
+    assert {*space.constraints[0].names} == {"steel", "width"}
+    X = np.array([[5.0, 0.6, 2.0], [5.0, 0.8, 2.0], [5.0, 1.0, 1.0]])
+    assert space.meets_constraints(X).tolist() == [True, False, True]
+    asked = Inquiry.of(Campaign.of(settings, tmp_path), fixed={"width": 0.8}).question
+    assert asked.space.names == ("load", "steel")
+    assert not asked.space.meets_constraints(np.array([[5.0, 2.0]])).any()
+    with pytest.raises(InputError, match=r"constraints: 'strength . width <= 60' must hold, got .*steel = special"):
+        Inquiry.of(Campaign.of(settings, tmp_path), fixed={"width": 0.8, "steel": "special"})
+    with pytest.raises(InputError, match="unknown name 'weight'"):
+        Campaign.of(parse_settings('constraints = ["weight <= 60"]\n' + CATALOGUE, "f"), tmp_path)
+
+
+def test_a_program_gets_features_by_name_and_a_question_changes_none(tmp_path: Path) -> None:
+    (tmp_path / "steels.csv").write_text(STEELS)
+    command = CATALOGUE.replace('python = "mine:beam"', 'command = "prog {strength} {steel}"')
+    simulator = Campaign.of(parse_settings(command, "f"), tmp_path).simulator
+    assert designs_by_name(simulator.space, np.array([[5.0, 0.6, 2.0]]))[0] == {
+        **{"load": 5, "width": 0.6, "steel": "special"},
+        **{"price": 2.5, "strength": 90.0},
+    }
+    question = '[space]\nsteel = { choices = ["soft", "special"], features = { strength = [1, 2] } }'
+    (tmp_path / "question.toml").write_text(question)
+    with pytest.raises(InputError, match=r"space.steel.features: must be left out"):
+        Inquiry.of(Campaign.of(parse_settings(command, "f"), tmp_path), question=tmp_path / "question.toml")
+
+
+@pytest.mark.parametrize("wrong", [None, 0.01])
+def test_of_a_catalogue_the_cheapest_design_that_meets_the_target_is_found(beams: Path, wrong: float | None) -> None:
+    widths = (0.2, 0.4, 0.6, 0.8, 1.0)
+    meets = [(width * PRICE[one], width, one) for width in widths for one in PRICE if share_failing(width, one) <= 0.3]
+    _, width, steel = min(meets)
+    with open_run(beams / "run", write=True, code=beams) as run:
+        found = run.design(0.3, free=["width", "steel"], cost="width * price", wrong=wrong)
+        assert found.bearing == {"width": width, "steel": steel}
+        assert found.exit_code == 0
+        numbers = found.as_json()
+        assert numbers["free"] == {"width": [0.2, 1.0], "steel": ["soft", "hard, hot rolled", "special"]}
+        one = run.design(0.3, free=["steel"], fixed={"width": 1.0}, wrong=wrong)
+        assert one.bearing == {"width": 1.0, "steel": "hard, hot rolled"}
+        nothing = run.design(0.05, free=["steel"], fixed={"width": 0.2}, wrong=wrong)
+        assert (nothing.exit_code, nothing.bearing["steel"]) == (3, "special")
+
+
+def test_the_command_designs_over_choices_and_takes_one_with_a_comma(beams: Path, tmp_path: Path) -> None:
+    words = ("design", beams / "run", "--code", beams, "--target", "30%", "--simulations", "60")
+    shown = activefail(*words, "--free", "steel", "--fixed", "width=1.0", "--out", tmp_path / "out", "--json")
+    assert shown.code == 0, shown.err
+    numbers = json.loads(shown.out)
+    assert numbers["bearing"]["steel"] == "hard, hot rolled"
+    assert numbers["cost"] == {"expression": "the place of steel among soft, hard, hot rolled, special", "value": 1.0}
+    assert {*numbers["first_free_variable_by_confidence"].values()} == {"hard, hot rolled"}
+    found = activefail("probability", beams / "run", "--code", beams, "--fixed", tmp_path / "out" / "design.toml")
+    again = activefail("probability", beams / "run", "--code", beams, "--fixed", "width=1.0,steel=hard, hot rolled")
+    assert found.code == again.code == 0, again.err
+    assert found.out.splitlines()[0] == again.out.splitlines()[0]
+    # The loads of 65 kN and more that would break it do not exist: 60 kN alone is above 61.
+    assert activefail(*words, "--free", "width,steel,load").code == 2
+
+
+def test_choices_beside_a_continuous_variable_are_searched_one_by_one() -> None:
+    steel = Parameter.of_choices("steel", ("soft", "hard", "special"), features=(("price", (1.0, 1.5, 2.5)),))
+    width, load = Parameter("width", 0.1, 1.0), Parameter("load", 5.0, 60.0)
+    campaign = SimpleNamespace(space=DesignSpace((load, width, steel)))
+    asked = Inquiry(campaign, Question.of_space(campaign.space))  # type: ignore[arg-type]
+    task = design_task(asked, (Requirement("failure", 0.1),), ("width", "steel"), "width * price")
+
+    def model(values: dict[str, float], points: int) -> np.ndarray:
+        needed = {0.0: 2.0, 1.0: 0.6, 2.0: 0.5}[values["steel"]]  # of soft steel no beam is wide enough
+        return np.array([0.01 if values["width"] > needed else 0.5])
+
+    found = cheapest(task, model, np.array([0.1]))
+    assert found.is_feasible
+    assert found.values["steel"] == 1.0
+    assert found.values["width"] == pytest.approx(0.6, abs=1e-3)

@@ -131,11 +131,15 @@ def test_the_commands_of_the_page_on_design_run_in_their_order(tmp_path, monkeyp
     (tmp_path / "bearing.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
     commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
-    assert [shlex.split(command)[1] for command in commands] == ["hazard", "design", "fragility"]
+    assert [shlex.split(command)[1] for command in commands] == [
+        *("hazard", "design", "fragility"),
+        *("run", "design"),
+    ]
     for command in commands:
         name, *words = shlex.split(command)
         # Small: the classifier of this folder has learned too little to find a bearing.
         smaller = {"design": ["--simulations", "60", "--no-chart"], "fragility": ["--verify", "20"]}
+        smaller |= {"run": ["--budget", "60"]}
         done = commandline.activefail(*words, *smaller.get(words[0], []))
         assert (name, done.code) in (("activefail", 0), ("activefail", 3 if words[0] == "design" else 0)), done.err
     assert {path.name for path in Path("design").iterdir()} == {"design.html", "design.toml", "design.json"}

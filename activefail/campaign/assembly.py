@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign import sections
+from activefail.campaign.choice_features import with_features
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
 from activefail.campaign.record_sets import space_with_motions, with_records
@@ -111,7 +112,7 @@ class Campaign:
         """
         # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
-        settings = with_records(settings, code)
+        settings = with_records(with_features(settings, code), code)
         space = space_with_motions(settings)
         sources: dict[str, str] = {}
         if simulator is None:
@@ -342,8 +343,9 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
     columns = (*_COLUMNS, "former_outcome", "former_cause", *former)
     meanings = dict.fromkeys(columns, "a column of tables of simulations")
     meanings |= dict.fromkeys(predicted, "a column that `activefail predict` adds")
-    named = {name: f"space.{name}" for name in (*space.names, *space.fixed)}
-    for name, key in (*named.items(), *((name, "simulator.margins") for name in simulator.margins)):
+    named = [(name, f"space.{name}") for name in (*space.names, *space.fixed)]
+    named += [(name, f"space.{one.name}.features.{name}") for one in space.parameters for name, _ in one.features]
+    for name, key in (*named, *((name, "simulator.margins") for name in simulator.margins)):
         if name in meanings:
             raise InputError(f"{key}: {name!r} is already the name of {meanings[name]}; rename it.")
         meanings[name] = f"the quantity {key}"

@@ -298,6 +298,8 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
             check_no_choices(name, space, f"properties.{name}_{bound} = {factor:g}")
             if name not in space.names:
                 has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
+                if name in space.carriers:
+                    has = f"has {name} as a feature of the choices of {space.carriers[name]}"
                 raise InputError(f"properties.{name}_{bound}: cannot be applied, because the campaign {has}.")
 
 

@@ -1,6 +1,5 @@
 """A table of pulses beside a hazard file: T_p, PGV or A_p, and weight."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,9 @@ from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard_sections import LARGEST_VELOCITY, LONGEST, SHORTEST
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
 from activefail.csv_table import Table
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.space import Array
+from activefail.trust import path_beside
 from activefail.weighted import WeightedRows
 
 MOST_ROWS = 20_000
@@ -36,11 +36,8 @@ def read_pulses(folder: Path, name: str) -> WeightedRows:
     Raises:
         InputError: if the file is not in the folder, or naming its row, column, rule and value.
     """
-    path = folder / name
-    home = Path(os.path.realpath(folder))
-    if not Path(os.path.realpath(path)).is_relative_to(home):
-        # A hazard file may come from someone else; messages quote the cells of its table.
-        raise InputError(f"samples: must be a file in the folder of the hazard file, got {name!r}.")
+    with naming("samples: "):
+        path = path_beside(folder, name, "hazard file")
     table = Table.of_csv(path, MOST_ROWS)
     size = [column for column in (PGV, AMPLITUDE) if column in table.columns]
     unknown = [column for column in table.columns if column not in _RANGES]

@@ -313,12 +313,17 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
 def _written(text: str, space: DesignSpace) -> dict[str, Any]:
     """Values by name in a text such as "T_b=4.0,soil=A"; those of variables without choices are numbers.
 
+    What follows a choice and is no value belongs to it: "soil=dense, dry".
+
     Raises:
         InputError: quoting the part that is no value.
     """
     values: dict[str, Any] = {}
-    with_choices = {one.name for one in space.parameters if one.choices}
+    with_choices, name = {one.name for one in space.parameters if one.choices}, ""
     for part in text.split(","):
+        if "=" not in part and name in with_choices:
+            values[name] += f",{part.rstrip()}"
+            continue
         name, _, word = (piece.strip() for piece in part.partition("="))
         if name in values:
             raise InputError(f"fixed: {name} has two values.")
@@ -405,13 +410,14 @@ def check_constraints(
         InputError: naming the constraint.
     """
     values = space.quantities(fixed)
+    written = space.written(fixed)
     for constraint in space.constraints:
         if AMPLITUDE in constraint.names and _replaces_amplitude((*uncertain, *fixed), space.names):
             raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
         if is_table and not constraint.names.isdisjoint(uncertain):
             raise InputError(f"constraints: {constraint.text!r} cannot hold for the pulses of a table.")
         if constraint.names <= values.keys() and not constraint.holds(values):
-            of = ", ".join(f"{name} = {values[name]:g}" for name in sorted(constraint.names & {*fixed}))
+            of = ", ".join(f"{name} = {written[name]}" for name in sorted(constraint.names & {*fixed}))
             raise InputError(f"constraints: {constraint.text!r} must hold, got {of}.")
 
 
@@ -565,6 +571,8 @@ def _check_variable(name: str, entry: AnyVariable, space: DesignSpace) -> None:
         unit = own.unit
     if isinstance(entry, SetVariable):
         raise InputError(f"space.{name}.set: must be left out; `choices` name some of the campaign's records.")
+    if getattr(entry, "features", None) is not None:
+        raise InputError(f"space.{name}.features: must be left out; choices have those of the campaign.")
     if entry.unit and entry.unit != unit:
         stated = unit or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

@@ -22,7 +22,16 @@ from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.errors import InputError
 from activefail.names import Criterion, FeatureSet, Kernel
-from activefail.parameter import Choice, Parameter, choices_fault, distribution_fault, step_fault
+from activefail.parameter import (
+    MOST_CHOICES,
+    MOST_WITH_FEATURES,
+    Choice,
+    Parameter,
+    choices_fault,
+    distribution_fault,
+    features_fault,
+    step_fault,
+)
 from activefail.simulators.interface import EXECUTION_CAUSES
 from activefail.systems import System, parse_system
 
@@ -54,6 +63,12 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
+_Features = Annotated[
+    Annotated[str, Tag(NAME)] | Annotated[dict[str, list[float]], Tag(f"{WITH}numbers")],
+    Discriminator(lambda value: NAME if isinstance(value, str) else f"{WITH}numbers"),
+]
+
+
 class Variable(Section):
     """One variable of the design space: its distribution and its bounds (`activefail.space.Parameter`).
 
@@ -69,6 +84,9 @@ class Variable(Section):
             whole number. Each has the probability of all values that are rounded to it.
         choices: texts or numbers without order, in place of bounds and distribution.
         probabilities: of the choices; equal if left out.
+        features: quantities that follow from the choice: a CSV file beside the campaign file, with the choices in the
+            column of the variable's name and a column of numbers for each quantity; or these numbers, as in
+            { mu = [0.03, 0.06, 0.1] }. activefail writes the numbers to run folders.
         distribution: name of the distribution.
         mean: mean, before truncation.
         sd: standard deviation, before truncation.
@@ -89,6 +107,7 @@ class Variable(Section):
     step: float | None = None
     choices: list[Choice] | None = None
     probabilities: list[float] | None = None
+    features: _Features | None = None
     distribution: Distribution = "uniform"
     mean: float | None = None
     sd: float | None = None
@@ -114,14 +133,17 @@ class Variable(Section):
     @model_validator(mode="after")
     def _is_a_distribution(self) -> Self:
         if self.choices is not None:
-            for name in self.model_fields_set - {"choices", "probabilities", "unit"}:
+            for name in self.model_fields_set - {"choices", "probabilities", "features", "unit"}:
                 if getattr(self, name) not in (None, "uniform"):
                     raise ValueError(f"`{name}` cannot be combined with `choices`, got {getattr(self, name)!r}")
-            if fault := choices_fault(self.choices, self.probabilities or ()):
+            most = MOST_CHOICES if self.features is None else MOST_WITH_FEATURES
+            fault = choices_fault(self.choices, self.probabilities or (), most)
+            if fault := fault or (features_fault(self.quantities, self.choices) if self.has_numbers else ""):
                 raise ValueError(fault)
             return self
-        if self.probabilities is not None:
-            raise ValueError(f"`probabilities` requires `choices`, got {shown(self.probabilities)}")
+        for name in ("probabilities", "features"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"`{name}` requires `choices`, got {shown(getattr(self, name))}")
         if fault := parameters_fault(self.distribution, self.low, self.high, self._parameters):
             raise ValueError(fault)
         # The widest reach that settings allow; bounds in the file do not depend on it.
@@ -142,6 +164,16 @@ class Variable(Section):
     def has_texts(self) -> bool:
         """Whether the choices are texts."""
         return any(isinstance(one, str) for one in self.choices or ())
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether the choices have features whose numbers are known."""
+        return isinstance(self.features, dict)
+
+    @property
+    def quantities(self) -> dict[str, list[float]]:
+        """The features of the choices whose numbers are known."""
+        return self.features if isinstance(self.features, dict) else {}
 
     @property
     def _parameters(self) -> dict[str, float]:
@@ -174,7 +206,8 @@ class Variable(Section):
             distance: where bounds lie that the file leaves out, in standard deviations of a normal variable.
         """
         if self.choices is not None:
-            return Parameter.of_choices(name, self.choices, self.probabilities or (), self.unit)
+            features = tuple((feature, tuple(numbers)) for feature, numbers in self.quantities.items())
+            return Parameter.of_choices(name, self.choices, self.probabilities or (), self.unit, features)
         low, high, mean, sd = self._numbers(distance)
         return Parameter(name, low, high, self.unit, self.distribution, mean, sd, self.step)
 

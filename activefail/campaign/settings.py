@@ -39,7 +39,7 @@ from activefail.campaign.sections import (
 )
 from activefail.errors import InputError
 from activefail.expressions import parse_constraint
-from activefail.space import DesignSpace, radius
+from activefail.space import Constraint, DesignSpace, radius
 from activefail.trust import read_regular
 from activefail.visible import visible
 
@@ -59,6 +59,23 @@ def _is_strong(correlation: object) -> bool:
         isinstance(rho, int | float) and abs(rho) >= _STRONG
         for rho in (pair[-1] for pair in pairs if isinstance(pair, list | tuple) and pair)
     )
+
+
+def _file_of(entry: AnyVariable) -> str:
+    """The file of features of a variable's choices, if it has not been read; empty otherwise."""
+    return entry.features if isinstance(entry, Variable) and isinstance(entry.features, str) else ""
+
+
+def _constraint(text: str, space: Mapping[str, AnyVariable]) -> Constraint:
+    """A constraint of variables, features of their choices, and fixed quantities.
+
+    Raises:
+        ValueError: as `parse_constraint` does.
+    """
+    features = {name: one.quantities for name, one in space.items() if isinstance(one, Variable)}
+    carriers = {feature: name for name, of in features.items() for feature in of}
+    texts = [name for name, one in space.items() if getattr(one, "has_texts", False)]
+    return parse_constraint(text, space, carriers, texts)
 
 
 def _table_1() -> dict[str, AnyVariable]:
@@ -169,11 +186,10 @@ class CampaignSettings(Section):
     @field_validator("constraints")
     @classmethod
     def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
-        for text in texts if "space" in info.data else ():  # which has its own error otherwise
-            constraint = parse_constraint(text, info.data["space"])
-            for name, entry in info.data["space"].items():
-                if name in constraint.names and getattr(entry, "has_texts", False):
-                    raise ValueError(f"{name!r} has texts as choices, which no expression takes; in {text!r}")
+        # Without a space, that has its own error; with a file that has not been read, names are unknown.
+        is_known = "space" in info.data and not any(_file_of(one) for one in info.data["space"].values())
+        for text in texts if is_known else ():
+            _constraint(text, info.data["space"])
         return texts
 
     @model_validator(mode="after")
@@ -245,7 +261,7 @@ class CampaignSettings(Section):
         bounded = all(variable.is_bounded for variable in variables.values())
         distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
         parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())
-        constraints = tuple(parse_constraint(text, self.space) for text in self.constraints)
+        constraints = tuple(_constraint(text, self.space) for text in self.constraints)
         return DesignSpace(parameters, fixed, tuple(self.correlation), constraints)
 
     def text(self) -> str:
@@ -261,8 +277,17 @@ class CampaignSettings(Section):
         overrides = {"seed": seed, "sampling.budget": budget}
         return self.changed({key: value for key, value in overrides.items() if value is not None})
 
-    def changed(self, changes: Mapping[str, Any]) -> "CampaignSettings":
+    @property
+    def feature_files(self) -> dict[str, str]:
+        """By variable, the files of features of its choices that have not been read."""
+        return {name: file for name, one in self.space.items() if (file := _file_of(one))}
+
+    def changed(self, changes: Mapping[str, Any], source: str = "command line") -> "CampaignSettings":
         """The settings with other values for some keys, like "sampling.budget".
+
+        Args:
+            changes: the values.
+            source: names them in errors.
 
         Raises:
             InputError: if one breaks a rule.
@@ -274,7 +299,7 @@ class CampaignSettings(Section):
             for part in sections:
                 section = section[part]
             section[name] = value
-        return checked(CampaignSettings, values, "command line")
+        return checked(CampaignSettings, values, source)
 
 
 SectionType = TypeVar("SectionType", bound=Section)

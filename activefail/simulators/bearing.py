@@ -37,12 +37,12 @@ def terms_of(simulator: object, values: Mapping[str, float]) -> Terms | None:
     """The designer's terms of a bearing with these values and the space's fixed ones; None for another simulator."""
     if not isinstance(simulator, DfpSimulator):
         return None
-    return Terms.of({**simulator.space.fixed, **values}, simulator.model)
+    return Terms.of({**simulator.space.quantities(values), **values}, simulator.model)
 
 
 @dataclass(frozen=True)
 class DfpSimulator:
-    """The bearing model over the nine variables of Table 1, in any ranges.
+    """The bearing model over the nine variables of Table 1, in any ranges; some may be features of choices.
 
     Attributes:
         space: design space.
@@ -69,23 +69,25 @@ class DfpSimulator:
             InputError: if the space lacks a variable of Table 1, has an unknown one, contains values that are not
                 positive, or contains a bearing that cannot be built.
         """
-        lowest, highest = space.table(np.array([space.low, space.high]), TABLE_1.names)
+        lowest, highest = np.transpose([space.range_of(name) for name in TABLE_1.names])
+        carrying = {one.name for one in space.parameters if not {*dict(one.features)}.isdisjoint(TABLE_1.names)}
         for name in (*space.names, *space.fixed):
-            if name not in TABLE_1.names:
+            if name not in TABLE_1.names and name not in carrying:
                 raise InputError(
                     f"space.{name}: the dfp simulator has no such variable; its variables are "
-                    f"{', '.join(TABLE_1.names)}."
+                    f"{', '.join(TABLE_1.names)}, which may be `features` of choices."
                 )
         for parameter in space.parameters:
-            if parameter.choices:
-                raise InputError(f"space.{parameter.name}: the dfp simulator takes no choices; use `step`.")
+            if parameter.name in carrying:
+                continue
             unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
             if parameter.unit not in ("", unit):
                 raise InputError(f"space.{parameter.name}.unit: must be {unit!r} or left out, got {parameter.unit!r}.")
         for name, low in zip(TABLE_1.names, lowest.tolist(), strict=True):
             if low <= 0.0:
                 key = "value" if name in space.fixed else "low"
-                raise InputError(f"space.{name}.{key}: must be positive for the dfp simulator, got {low}.")
+                key = f"{space.carriers[name]}.features.{name}" if name in space.carriers else f"{name}.{key}"
+                raise InputError(f"space.{key}: must be positive for the dfp simulator, got {low}.")
         try:
             # The hardest bearing to build: small radius, wide dish, high slider.
             Bearing.from_row([lowest[0], *highest[1:7]], model.slider_diameter)

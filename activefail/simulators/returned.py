@@ -13,9 +13,12 @@ from activefail.space import Array, DesignSpace
 
 
 def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, Any]]:
-    """One dictionary per design, (n, d): values of the variables, with choices as written, and fixed quantities."""
-    columns = [column.tolist() for column in space.columns(X).values()]
-    return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in zip(*columns, strict=True)]
+    """One dictionary per design, (n, d): values of the variables, with choices as written, features, and fixed ones."""
+    columns = space.columns(X)
+    for one, x in zip(space.parameters, np.reshape(X, (-1, space.dimension)).T, strict=True):
+        columns |= one.carried(x)
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [{**dict(zip(columns, row, strict=True)), **space.fixed} for row in rows]
 
 
 def read_objects(space: DesignSpace) -> None:

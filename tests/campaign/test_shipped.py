@@ -10,7 +10,7 @@ from activefail import create_run
 from activefail.campaign.on_disk import campaign_file, copy_shipped, read_campaign, shipped_campaigns, shipped_folder
 from activefail.errors import InputError
 
-NAMES = ["bearing", "building", "building_records", "opensees", "paper", "quick", "records"]
+NAMES = ["bearing", "building", "building_records", "catalogue", "opensees", "paper", "quick", "records"]
 
 RECORDS = ("building_records", "records")
 """Those that need the records of FEMA P695."""

@@ -1,4 +1,4 @@
-"""The smallest design that meets its targets under finitely many values, such as records, stripe by stripe."""
+"""The cheapest design that meets its targets under finitely many values, such as records, stripe by stripe."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,6 @@ from activefail.findings.lines import titled
 from activefail.json_text import json_values
 from activefail.risk.design.design_task import DesignTask
 from activefail.risk.design.findings import OUT_OF_REACH
-from activefail.space import Array
 from activefail.stripes.findings import StripeFindings
 from activefail.stripes.stripe import Stripe, Stripes
 from activefail.visible import visible
@@ -23,17 +22,17 @@ STEPS = 40
 
 @dataclass(frozen=True, eq=False)
 class DesignByStripes:
-    """A design that meets its targets under finitely many values, or the largest one.
+    """A design that meets its targets under finitely many values, or the largest or safest one.
 
     Attributes:
-        task: what was asked; it has one free variable.
-        values: of the free variable that could be the result, (k,), increasing.
-        stripes: by the place of a value, one stripe for each requirement.
-        place: of the result; the last one if none meets the targets.
+        task: what was asked.
+        candidates: values of the free variables that could be the result, the cheapest first.
+        stripes: by the place of a candidate, one stripe for each requirement.
+        place: of the result.
     """
 
     task: DesignTask
-    values: Array
+    candidates: list[dict[str, float]]
     stripes: dict[int, tuple[Stripe, ...]]
     place: int
 
@@ -67,12 +66,21 @@ class DesignByStripes:
     def verdict(self) -> str:
         """What the result is, in one sentence."""
         name = self.task.free[0]
+        if not _is_line(self.task):
+            count = len(self.candidates)
+            if not self.meets:
+                return f"The classifier puts none of the {count} designs below the target. This one is the safest."
+            looked = sum(place < self.place for place in self.stripes)
+            return (
+                f"The cheapest of {count} designs that meets the target under these values. Of the cheaper ones, "
+                f"{looked} miss it by their simulations, and {self.place - looked} by the classifier."
+            )
         if not self.meets:
             return f"This largest {name} of the campaign's range does not meet the target under these values."
         if self.place == 0:
             return f"The least {name} of the campaign's range meets the target under these values."
         probabilities = ", ".join(f"{100.0 * one.probability:.3g} %" for one in self.stripes[self.place - 1])
-        below = f"{name} = {self.values[self.place - 1]:.4g} has {probabilities}"
+        below = f"{name} = {self.candidates[self.place - 1][name]:.4g} has {probabilities}"
         return f"The smallest {name} that meets the target under these values; {below}."
 
     @property
@@ -84,24 +92,27 @@ class DesignByStripes:
         targets = [f"{100.0 * one.target:.4g} %" for one in self.task.requirements]
         rows.append(("target", f"{', '.join(targets)}; met by the values themselves, not by the upper ends below"))
         count = len(self.stripes) * len(self.found[0].stripe.values)
-        stripes = f"{len(self.stripes)} values of {self.task.free[0]}"
+        stripes = f"{len(self.stripes)} values of {', '.join(self.task.free)}"
         rows.append(("from", f"{self.simulations} simulations now at {stripes}, of {count} in all"))
         return [*titled(rows), *(line for one in self.found for line in one.lines)]
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        name, tried = self.task.free[0], sorted(self.stripes)
+        tried, written = sorted(self.stripes), self.task.asked.campaign.space.written
         probabilities = [[one.probability for one in self.stripes[place]] for place in tried]
         return json_values(
             {
                 "status": "met" if self.meets else "out of reach",
                 "bearing": self.bearing,
-                "free": {name: [self.values[0], self.values[-1]]},
+                "free": self.task.ranges,
                 "simulations": self.simulations,
                 "targets": {one.outcome: one.target for one in self.task.requirements},
                 "outcomes": {key: of for one in self.found for key, of in one.as_json()["outcomes"].items()},
                 "tried": [
-                    {"value": self.values[place], "probability": dict(zip(self._outcomes, shares, strict=True))}
+                    {
+                        "values": written(self.candidates[place]),
+                        "probability": dict(zip(self._outcomes, shares, strict=True)),
+                    }
                     for place, shares in zip(tried, probabilities, strict=True)
                 ],
             }
@@ -120,50 +131,74 @@ def _meets(task: DesignTask, stripes: tuple[Stripe, ...]) -> bool:
 
 
 def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> DesignByStripes:
-    """Find the smallest value of the free variable whose probabilities meet their targets.
+    """Find the cheapest values of the free variables whose probabilities meet their targets.
 
-    It assumes that the probabilities fall with the variable. The classifier predicts where they meet the targets, and
-    stripes there and beside it bracket the result, by steps that double; bisection ends the search.
+    Of a single variable that is to be small it assumes that the probabilities fall with it. The classifier predicts
+    where they meet the targets, and stripes there and beside it bracket the result, by steps that double; bisection
+    ends the search. Of a catalogue, the cheapest design that the classifier predicts to meet them is asked for, until
+    one does.
 
     Args:
         stripes: asks.
-        task: with one free variable, which is to be small.
+        task: with one free variable, which is to be small, or with finitely many designs.
         wrong: as for `Stripes.ask`.
 
     Raises:
-        InputError: if the task has several free variables, or risks in a number of years.
+        InputError: if the task has neither, or risks in a number of years.
     """
-    if len(task.free) > 1:
-        raise InputError("wrong: requires one free variable, which is made small; fix the others.")
+    if not (_is_line(task) or task.is_finite):
+        raise InputError(
+            "wrong: requires one free variable, which is made small, or free variables with steps or choices; leave "
+            "the cost out, and fix the others."
+        )
     if task.rate is not None:
         raise InputError("wrong: requires a target probability, not a risk in a number of years.")
-    name = task.free[0]
-    stepped = task.stepped.get(name)
-    values = _grid(task.low[name], task.high[name]) if stepped is None else stepped.values
-    values = values[[task.allows({name: value}) for value in values.tolist()]]
-    if not len(values):
-        raise InputError(f"constraints: no value of {name} meets them.")
+    candidates = task.candidates({}) if task.is_finite else _grid(task)
     asked: dict[int, tuple[Stripe, ...]] = {}
 
     def meets(place: int) -> bool:
         if place not in asked:
-            question = task.question.at({name: float(values[place])})
-            stripes.stage(f"{name} = {values[place]:.4g}")
+            question = task.question.at(candidates[place])
+            written = task.asked.campaign.space.written(candidates[place])
+            stripes.stage(", ".join(f"{name} = {value}" for name, value in written.items()))
             asked[place] = tuple(stripes.ask(question, one.outcome, wrong) for one in task.requirements)
         return _meets(task, asked[place])
 
-    def predicted(place: int) -> bool:
-        question = task.question.at({name: float(values[place])})
-        return all(stripes.by_classifier(question, one.outcome) <= one.target for one in task.requirements)
+    def ratio(place: int) -> float:
+        """The largest ratio of a probability by the classifier to its target."""
+        question = task.question.at(candidates[place])
+        return max(stripes.by_classifier(question, one.outcome) / one.target for one in task.requirements)
 
-    last = len(values) - 1
-    start = min(last, _first(len(values), last // 2, predicted))
-    return DesignByStripes(task, values, asked, min(last, _first(len(values), start, meets)))
+    last = len(candidates) - 1
+    if _is_line(task):
+        start = min(last, _first(len(candidates), last // 2, lambda place: ratio(place) <= 1.0))
+        return DesignByStripes(task, candidates, asked, min(last, _first(len(candidates), start, meets)))
+    while True:
+        # The classifier learns from each stripe.
+        ratios = {place: ratio(place) for place in range(last + 1)}
+        promising = (one for one in ratios if (meets(one) if one in asked else ratios[one] <= 1.0))
+        place = next(promising, min(ratios, key=lambda one: ratios[one]))
+        if place in asked:
+            return DesignByStripes(task, candidates, asked, place)
+        meets(place)
 
 
-def _grid(low: float, high: float) -> Array:
-    """The values of a continuous variable that could be the result, as decimal numbers are written."""
-    return np.array([float(f"{value:.12g}") for value in np.linspace(low, high, STEPS + 1)])
+def _is_line(task: DesignTask) -> bool:
+    """Whether a single variable with an order is to be small."""
+    return len(task.free) == 1 and not task.choices and task.cost_text == task.free[0]
+
+
+def _grid(task: DesignTask) -> list[dict[str, float]]:
+    """The values of a continuous variable that could be the result, as decimal numbers are written.
+
+    Raises:
+        InputError: if constraints allow none.
+    """
+    name = task.free[0]
+    values = [float(f"{x:.12g}") for x in np.linspace(task.low[name], task.high[name], STEPS + 1)]
+    if not (allowed := [{name: value} for value in values if task.allows({name: value})]):
+        raise InputError(f"constraints: no value of {name} meets them.")
+    return allowed
 
 
 def _first(count: int, start: int, holds: Callable[[int], bool]) -> int:

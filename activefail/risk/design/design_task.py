@@ -1,9 +1,10 @@
 """What a design must meet: targets, free variables, a cost; and the looks of its verification, with their simulations
 and shares of the probability of a false result."""
 
+import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -12,10 +13,10 @@ import numpy as np
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
-from activefail.expressions import parse_expression
+from activefail.expressions import check_no_texts, parse_expression
 from activefail.parameter import Parameter
 from activefail.risk.classifier_probability import POINTS
-from activefail.space import Array, Constraint
+from activefail.space import Array, Constraint, DesignSpace
 from activefail.visible import visible
 
 RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
@@ -26,6 +27,9 @@ DEFAULT_FREE = "D_tot"
 
 BEARING_PERIOD = "T_b"
 """Variable of a bearing that gives the stiffness of its lateral force."""
+
+MOST_COMBINATIONS = 5000
+"""Most combinations of the values of free variables that are compared."""
 
 SIMULATIONS = 1000
 """Maximum number of fresh simulations for each target, by default."""
@@ -94,7 +98,7 @@ class DesignTask:
         confidence: one-sided, that the probabilities meet their targets.
         simulations: most fresh simulations for each requirement.
         rate: how often the question's pulses occur, if the targets were risks in a number of years.
-        stepped: by name, the free variables with a step.
+        stepped: by name, the free variables with steps or choices.
         constraints: of the campaign.
     """
 
@@ -116,6 +120,40 @@ class DesignTask:
             return True
         known = self.asked.campaign.space.quantities({**self.question.fixed, **values})
         return all(bool(one.holds(known)) for one in self.constraints if one.names <= known.keys())
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the free variables have finitely many values."""
+        return len(self.stepped) == len(self.low)
+
+    @property
+    def ranges(self) -> dict[str, list[Any]]:
+        """Both ends of each free variable's range, or its choices."""
+        low, high = (self.asked.campaign.space.written(ends) for ends in (self.low, self.high))
+        choices = {name: list(self.stepped[name].choices) for name in self.choices}
+        return {name: choices.get(name, [low[name], high[name]]) for name in self.free}
+
+    @property
+    def choices(self) -> list[str]:
+        """Names of the free variables without order."""
+        return [name for name, one in self.stepped.items() if one.choices]
+
+    def combinations(self, names: Collection[str]) -> list[dict[str, float]]:
+        """All combinations of the values of free variables with steps or choices."""
+        values = [self.stepped[name].values.tolist() for name in names]
+        return [dict(zip(names, row, strict=True)) for row in itertools.product(*values)]
+
+    def candidates(self, held: Mapping[str, float]) -> list[dict[str, float]]:
+        """All values of finitely many that constraints allow, some held; the cheapest first.
+
+        Raises:
+            InputError: if there is none.
+        """
+        names = [name for name in self.free if name not in held]
+        allowed = [{**one, **held} for one in self.combinations(names) if self.allows({**one, **held})]
+        if not allowed:
+            raise InputError(f"constraints: no value of {', '.join(names)} meets them.")
+        return sorted(allowed, key=self.cost)
 
     @property
     def question(self) -> Question:
@@ -231,10 +269,6 @@ def design_task(
     for name in names:
         if name not in space.names:
             raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
-        if space.parameters[space.names.index(name)].choices:
-            raise InputError(
-                f"free: {name} has choices without order; give it one by `fixed`, and compare the designs."
-            )
         if names.count(name) > 1:
             raise InputError(f"free: names {name!r} twice.")
         if PGV in {*question.space.names, *question.fixed} and name in (PERIOD, AMPLITUDE):
@@ -245,33 +279,45 @@ def design_task(
         raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
     ranges = {one.name: one for one in space.parameters}
     low, high = {name: ranges[name].low for name in names}, {name: ranges[name].high for name in names}
-    certain = {name: value for name, value in question.fixed.items() if name not in space.texts}
-    price, text = _cost(cost, names, space.quantities(certain))
+    price, text = _cost(cost, names, question.fixed, space)
     for side in (low, high):
         price(side)
     stepped = {name: ranges[name] for name in names if ranges[name].step is not None}
     limits = stepped, space.constraints
-    return DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, *limits)
+    task = DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, *limits)
+    compared = math.prod(len(stepped[name].values) for name in (stepped if task.is_finite else task.choices))
+    if len(names) > 1 and compared > MOST_COMBINATIONS:
+        raise InputError(
+            f"free: the values of {', '.join(names)} must make at most {MOST_COMBINATIONS} combinations, got "
+            f"{compared}. Fix some variables."
+        )
+    return task
 
 
 def _cost(
-    text: str, free: Sequence[str], fixed: Mapping[str, float]
+    text: str, free: Sequence[str], fixed: Mapping[str, float], space: DesignSpace
 ) -> tuple[Callable[[Mapping[str, float]], float], str]:
-    """The cost as a function of the free variables' values, and in words."""
+    """The cost as a function of the free variables' values, and in words.
+
+    Without an expression it is the first variable, or the place of its choice where these are texts.
+    """
     if not text:
-        return (lambda values: values[free[0]]), free[0]
+        first = free[0]
+        place = f"the place of {first} among {', '.join(map(str, space.parameters[space.names.index(first)].choices))}"
+        return (lambda values: float(space.quantities(values)[first])), place if first in space.texts else first
     known = {name: value for name, value in fixed.items() if name not in free}
     try:
-        expression = parse_expression(text, (*free, *known))
+        expression = parse_expression(text, space.quantities({**known, **dict.fromkeys(free, 0.0)}).keys())
+        check_no_texts(expression, space.texts)
     except ValueError as error:
         raise InputError(visible(f"cost: {error}.")) from None
 
     def cost(values: Mapping[str, float]) -> float:
-        quantities: dict[str, Any] = {**known, **values}
+        quantities: dict[str, Any] = space.quantities({**known, **values})
         with np.errstate(all="ignore"):  # reported below
             value = float(expression(quantities))
         if not math.isfinite(value):
-            at = ", ".join(f"{name} = {one:g}" for name, one in values.items())
+            at = ", ".join(f"{name} = {one}" for name, one in space.written(values).items())
             raise InputError(f"cost: must be finite, got {value} at {at}.")
         return value
 

@@ -130,7 +130,7 @@ class DesignFindings:
 
     @property
     def _at_upper_friction(self) -> dict[str, float]:
-        known = {**self.campaign.space.fixed, **self.bearing}
+        known = self.campaign.space.quantities(self.designed.question.fixed)
         factors = self._upper
         return {name: value * factors[name] if name in factors else value for name, value in known.items()}
 
@@ -147,8 +147,9 @@ class DesignFindings:
                 "extrapolated."
             )
         for name in task.free:
-            if (value := task.question.fixed.get(name)) is not None:
-                sentences.append(f"{name} is a free variable, so its given value {value:g} was ignored.")
+            if name in task.question.fixed:
+                given = self._shown({name: task.question.fixed[name]})
+                sentences.append(f"{name} is a free variable, so the given {given} was ignored.")
         of_pulse = () if self.hazard is None else ("T_p", "A_p")
         if kept := [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]:
             sentences.append(
@@ -171,6 +172,11 @@ class DesignFindings:
             sentences.append(
                 "No design within the ranges brings the classifier's probability down to the search's goal. This "
                 "design comes nearest to it."
+            )
+        elif candidate.compared:
+            sentences.append(
+                f"All {candidate.compared} designs of the free variables' values were compared by the classifier. It "
+                f"puts those that are {kind}er than this one above the search's goal, and this one below it."
             )
         elif len(candidate.ranges) > 1 or (candidate.ranges and candidate.ranges[0][1] < task.high[task.free[0]]):
             ranges = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in candidate.ranges)
@@ -235,11 +241,26 @@ class DesignFindings:
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
-                values = ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items())
-                return f"A {kind} one, {values}, was not verified."
+                return f"A {kind} one, {self._shown(look.candidate.values)}, was not verified."
         if len(designed.looks) < len(LOOKS):
             return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
         return f"No look is left for a {kind} one."
+
+    def _shown(self, values: Mapping[str, float], with_units: bool = False) -> str:
+        """Values of variables, as text."""
+        units = {p.name: f" {p.unit}" for p in self.campaign.space.parameters if p.unit and with_units}
+        written = self.campaign.space.written(values).items()
+        return visible(
+            ", ".join(
+                f"{name} = {one if isinstance(one, str) else f'{one:.4g}'}{units.get(name, '')}"
+                for name, one in written
+            )
+        )
+
+    def _first(self, value: float) -> Any:
+        """A value of the first free variable, as people see it."""
+        name = self.designed.task.free[0]
+        return None if math.isnan(value) else self.campaign.space.written({name: value})[name]
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
@@ -273,12 +294,11 @@ class DesignFindings:
             }
             for look in designed.looks
         ]
-        low, high = (self.campaign.space.written(ends) for ends in (task.low, task.high))
         return json_values(
             {
                 "status": designed.status,
                 "bearing": self.bearing,
-                "free": {name: [low[name], high[name]] for name in task.free},
+                "free": task.ranges,
                 "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
                 **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
                 "confidence": task.confidence,
@@ -290,7 +310,9 @@ class DesignFindings:
                 "contradictions_where_sure": result.surprising,
                 "could_fail_unseen": designed.missable,
                 "at_limit_of_range": designed.at_limit,
-                "first_free_variable_by_confidence": {f"{of:g}": value for of, value in self.costs.items()},
+                "first_free_variable_by_confidence": {
+                    f"{of:g}": self._first(value) for of, value in self.costs.items()
+                },
                 "lateral_force_over_weight": self.lateral_force,
                 "terms": self.terms and self.terms.as_json(),
                 "classifier_probability_at_upper_bounds": self.at_upper or None,
@@ -322,11 +344,10 @@ class DesignFindings:
         designed, task, result = self.designed, self.designed.task, self.designed.result
         first, outcomes = task.free[0], self.campaign.simulator.outcomes
         events = [f"P({visible(or_worse(one.outcome, outcomes))})" for one in task.requirements]
-        units = {p.name: f" {p.unit}" for p in self.campaign.space.parameters if p.unit}
-        known = {name: one if isinstance(one, str) else f"{one:.4g}" for name, one in self.bearing.items()}
-        values = (f"{name} = {value}{units.get(name, '')}" for name, value in known.items())
+        fixed, space = designed.question.fixed, self.campaign.space
+        certain = {name: fixed[name] for name in space.names if name in fixed}
         rows = [("widen", self.outside.advice)] if self.outside.advice else []
-        rows += [("design", visible(", ".join(values))), ("result", self.verdict)]
+        rows += [("design", self._shown(certain, with_units=True)), ("result", self.verdict)]
         title = "verified" if designed.status == "verified" else "estimate"
         parts = zip(events, task.requirements, result.estimates, result.candidate.model, strict=True)
         for event, one, estimate, model in parts:
@@ -359,7 +380,8 @@ class DesignFindings:
         rows += [("limit", f"{name} is at the {side} end of its range") for name, side in designed.at_limit.items()]
         if self.costs:
             shown = ", ".join(
-                f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
+                f"{100.0 * confidence:g} % "
+                f"{'out of range' if math.isnan(value) else self._shown({first: value}).removeprefix(f'{first} = ')}"
                 for confidence, value in self.costs.items()
             )
             rows.append(

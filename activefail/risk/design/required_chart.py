@@ -55,7 +55,7 @@ class RequiredChart:
 def chart_of(
     estimator: Estimator, task: DesignTask, held: Mapping[str, float], stage: Stage = silent
 ) -> RequiredChart | None:
-    """The chart of the required first free variable against two others; None if there are no two others.
+    """The chart of the required first free variable against two others; None if there are no three with order.
 
     Args:
         estimator: has the classifier; nothing is simulated.
@@ -64,15 +64,16 @@ def chart_of(
         stage: called with each stage of the work.
     """
     space, fixed = estimator.campaign.space, {**task.question.fixed, **held}
-    certain = [name for name in space.names if name in fixed and name != task.free[0]]
+    ordered = {one.name: one for one in space.parameters if not one.choices}
+    certain = [name for name in ordered if name in fixed and name != task.free[0]]
     # The most informative ones of a bearing first.
     names = sorted(certain, key=lambda name: (name != BEARING_PERIOD, name != FRICTION, name not in task.free))
-    if len(names) < 2:
+    if len(names) < 2 or task.free[0] not in ordered:
         return None
-    across, lines = (next(one for one in space.parameters if one.name == name) for name in names[:2])
-    x = np.linspace(across.low, across.high, _ACROSS)
+    across, lines = ordered[names[0]], ordered[names[1]]
+    x = np.unique(across.rounded(np.linspace(across.low, across.high, _ACROSS)))
     low, high = (lines.low + share * (lines.high - lines.low) for share in _MIDDLE)
-    values = np.unique(np.append(np.linspace(low, high, _LINES), fixed[lines.name]))
+    values = np.unique(np.append(lines.rounded(np.linspace(low, high, _LINES)), fixed[lines.name]))
     one = task.requirements[0]
     of_categories = list(RISK_CATEGORIES.values()) if one.target in RISK_CATEGORIES.values() else []
     targets = np.array(sorted({one.target, *of_categories}, reverse=True))

@@ -1,5 +1,6 @@
 """Searches for the cheapest design that meets its targets, such as the smallest D_tot, and verifies it."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +29,9 @@ _SAMPLED, _REFINED = 16, 30
 
 _FINE_LINES, _APART = 6, 0.02
 """Best lines of a search that are judged again with all points, and their least distance in units of the ranges."""
+
+_FAR = math.log(2.0)
+"""Excess (`_excess`) by few points of an integral from which more points do not make a design feasible."""
 
 _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
@@ -59,12 +63,14 @@ class Candidate:
         is_feasible: whether these meet the aims; if not, no design does and this one comes nearest.
         ranges: (low, high) of the first free variable where they do, the others held; between and beyond these ranges
             they do not.
+        compared: number of designs that this one was chosen from, where these are finitely many; 0 otherwise.
     """
 
     values: Mapping[str, float]
     model: Array
     is_feasible: bool
     ranges: tuple[tuple[float, float], ...] = ()
+    compared: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +164,8 @@ class Designed:
         """Free variables whose value is a limit of their range, and which limit."""
         sides = {}
         for name, value in self.values.items():
+            if name in self.task.choices:
+                continue
             near = 2.0 * _FINE * (self.task.high[name] - self.task.low[name])
             if value <= self.task.low[name] + near:
                 sides[name] = "lower"
@@ -223,7 +231,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         candidate = cheapest(task, model, aims)
         if verified:
             least = min(verified)[0]
-            if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
+            if not candidate.is_feasible or least - task.cost(candidate.values) <= WORTH * abs(least):
                 break
         question, simulations = task.question.at(candidate.values), task.simulations_of(number)
         # As every other place shows them, not as the search's points gave them.
@@ -258,7 +266,7 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
     Args:
         aims, model, found: (r,) each; of the classifier, and by simulations, at the design.
     """
-    return np.where(found < model, aims + model - found, aims * model / np.maximum(found, _LEAST))
+    return np.where(found < model, aims + model - found, aims * np.maximum(model, _LEAST) / np.maximum(found, _LEAST))
 
 
 def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
@@ -267,24 +275,55 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
     model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
     for confidence in _CONFIDENCES:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
-        candidate = _on_line(task, model, held, _corrected(task.targets, look.candidate.model, highs))
+        candidate = cheapest(task, model, _corrected(task.targets, look.candidate.model, highs), held)
         costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
     return costs
 
 
-def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
-    """The cheapest design whose probabilities under the classifier meet the aims, (r,).
+def cheapest(task: DesignTask, model: Model, aims: Array, held: Mapping[str, float] | None = None) -> Candidate:
+    """The cheapest design whose probabilities under the classifier meet the aims, (r,), some free variables held.
+
+    Finitely many designs are all candidates. Otherwise each combination of choices is searched.
+    """
+    held = held or {}
+    names = [name for name in task.free if name not in held]
+    choices = [name for name in names if name in task.choices]
+    if task.is_finite and (choices or len(names) > 1):
+        return _of_all(task, model, aims, held)
+    found = [_searched(task, model, {**held, **one}, aims) for one in task.combinations(choices)]
+    if feasible := [one for one in found if one.is_feasible]:
+        return min(feasible, key=lambda one: task.cost(one.values))
+    return min(found, key=lambda one: _excess(one.model, aims))
+
+
+def _of_all(task: DesignTask, model: Model, aims: Array, held: Mapping[str, float]) -> Candidate:
+    """The cheapest of finitely many designs, and of equally cheap ones the safest; the safest if none meets aims."""
+    candidates, nearest = task.candidates(held), list[Candidate]()
+    for _, equal in itertools.groupby(candidates, key=task.cost):
+        judged = []
+        for values in equal:
+            P = model(values, task.points // _COARSER)
+            judged.append((model(values, task.points) if _excess(P, aims) < _FAR else P, values))
+        P, values = min(judged, key=lambda one: _excess(one[0], aims))
+        nearest.append(Candidate(values, P, _excess(P, aims) <= 0.0, compared=len(candidates)))
+        if nearest[-1].is_feasible:
+            return nearest[-1]
+    return min(nearest, key=lambda one: _excess(one.model, aims))
+
+
+def _searched(task: DesignTask, model: Model, chosen: Mapping[str, float], aims: Array) -> Candidate:
+    """The cheapest design, some free variables held.
 
     A failure probability need not fall with every increase of a variable, so a line along the first free variable may
     have several ranges that meet them. Further free variables are searched by a Sobol' sample of lines and the simplex
     method [NelderMead1965].
     """
-    if len(task.free) == 1:
-        return _on_line(task, model, {}, aims)
+    first, *others = [name for name in task.free if name not in chosen]
+    if not others:
+        return _on_line(task, model, chosen, aims)
     from scipy.optimize import minimize
     from scipy.stats import qmc
 
-    others = task.free[1:]
     low, high = (np.array([side[name] for name in others]) for side in (task.low, task.high))
     seen: list[tuple[bool, float, dict[str, float], Array]] = []
 
@@ -292,13 +331,14 @@ def cheapest(task: DesignTask, model: Model, aims: Array) -> Candidate:
         u = np.clip(u, 0.0, 1.0)
         values = zip(others, (low + u * (high - low)).tolist(), strict=True)
         held = {name: float(task.stepped[name].rounded(x)) if name in task.stepped else x for name, x in values}
+        held |= chosen
         candidate = _on_line(task, model, held, aims, coarse=True)
         value = task.cost(candidate.values) if candidate.is_feasible else _excess(candidate.model, aims)
         seen.append((not candidate.is_feasible, value, held, u))
         # For the simplex alone: any feasible design is better than all others.
         return value / scale if candidate.is_feasible else 1e9 * (1.0 + value)
 
-    middle = {name: 0.5 * (task.low[name] + task.high[name]) for name in task.free}
+    middle = {name: 0.5 * (task.low[name] + task.high[name]) for name in (first, *others)} | dict(chosen)
     scale = max(abs(task.cost(middle)), 1e-300)
     count = 2 ** math.ceil(math.log2(_SAMPLED * len(others)))
     for u in qmc.Sobol(len(others), rng=np.random.default_rng(0)).random(count):
@@ -334,10 +374,10 @@ def _excess(model: Array, aims: Array) -> float:
 
 
 def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Array, coarse: bool = False) -> Candidate:
-    """The cheapest design along the first free variable, the others held; the safest one if none meets the aims."""
+    """The cheapest design along the only free variable not held; the safest one if none meets the aims."""
     from scipy.optimize import brentq, minimize_scalar
 
-    name = task.free[0]
+    (name,) = (one for one in task.free if one not in held)
     low, high = task.low[name], task.high[name]
     points, size = (task.points // _COARSER, _COARSE_GRID) if coarse else (task.points, _GRID)
 
