@@ -22,7 +22,7 @@ OF_DESIGN = ("T_b", "mu", "D_tot", "Cy", "PGV")
 QUANTITIES = ("T_s", "damping", "storeys", "storey_height", "rim_strength", "rim_yield", "rim_limit", "drift_limit")
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def respond(a, dt, factor, T_b, mu, D_tot, Cy, fixed):
     """Displacement over D_tot, deformation of the rim over its limit, and drift over its limit; it ends at collapse.
 
@@ -74,13 +74,13 @@ def respond(a, dt, factor, T_b, mu, D_tot, Cy, fixed):
     return largest / D_tot, max(0.0, over) / rim_limit, drift / (drift_limit * height)
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def index_of(displacement, rim, drift):
     """Of collapse: 1 where the rim breaks or the storey drifts too far, continuous below."""
     return max(AT_RIM * displacement if rim == 0.0 else AT_RIM + (1.0 - AT_RIM) * rim, drift)
 
 
-@njit(error_model="numpy", cache=True, nogil=True)
+@njit(error_model="numpy", nogil=True)
 def respond_all(flat, start, dt, which, factor, X, fixed, out):
     """`respond` for rows of designs, (n, 5), into (n, 3); records are `flat[start[k] : start[k + 1]]`."""
     for row in range(len(X)):
