@@ -39,7 +39,7 @@ def respond(a, dt, factor, T_b, mu, D_tot, Cy, fixed):
     sticking = friction / MOBILISED
     bear = rim_strength * G
     rim = bear / rim_yield
-    sub = max(1, int(math.ceil(dt / STEP)))
+    sub = max(1, math.ceil(dt / STEP))
     h = dt / sub
     x = v = u = w = slip = frame = set_right = set_left = 0.0  # u, w: of the storey relative to the base
     largest = drift = over = 0.0

@@ -4,8 +4,8 @@
     python studies/frame.py --opensees opensees/bin/python --part goals --seeds 3
     python studies/frame.py --part picture
 
-It needs `activefail[records]`, and an interpreter that has openseespy (docs/opensees.md). Every run is kept under --work,
-by its design, so that none is made twice and an interrupted study continues.
+It needs `activefail[records]`, and an interpreter that has openseespy (docs/opensees.md). Every run is kept under
+--work, by its design, so that none is made twice and an interrupted study continues.
 
 `checks`: periods, pushover, statics, the response on a stiff frame against activefail's bearing, and the step.
 
@@ -15,7 +15,6 @@ peak ground velocity under 44 records; a fragility curve; and D_tot for three ta
 
 `picture`: runs against designs, from the results of `goals`, into docs/images/frame.png.
 """
-
 
 import math
 import os
@@ -64,7 +63,8 @@ known = {name: value for name, value in json.loads(Path(design).read_text()).ite
 program = Path(here, "frame_model.py")
 code = ast.parse(program.read_text())
 words = [ast.dump(one) for one in ast.walk(code) if isinstance(one, ast.stmt) and not hasattr(one, "body")]
-text = json.dumps(known, sort_keys=True) + "".join(word for word in words if not word.startswith("Expr(value=Constant("))
+words = [word for word in words if not word.startswith("Expr(value=Constant(")]
+text = json.dumps(known, sort_keys=True) + "".join(words)
 kept = Path(store, hashlib.sha256(text.encode()).hexdigest()[:24] + ".json")
 if not kept.exists():
     subprocess.run([python, program, design, out], check=True)
@@ -103,7 +103,7 @@ class Study:
         folder = self.work / f"{name}-{seed}"
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(self.campaign(seed), folder)
-        return activefail.open_run(folder, code=self.code)
+        return activefail.open_run(folder, write=True, code=self.code)
 
     @cache  # noqa: B019 - one study a process
     def truth(self, design, pgv):
@@ -157,30 +157,31 @@ def curve(study, seed, rows):
 
 def sought(study, seed, rows):
     """D_tot for one target after another."""
-    grid = study.settings["space"]["D_tot"]
     with study.copy(seed, "sought") as run:
         for number, (design, target) in enumerate(SOUGHT, 1):
             fixed = at(design, MCE, ["D_tot"])
             found = run.design(target=f"{100 * target:g}%", free=["D_tot"], fixed=fixed, wrong=WRONG)
-            D_tot = float(found.values[found.place])
-            shares = []
-            for value in (D_tot, D_tot - grid["step"]):
-                if value >= grid["low"] - 1e-9:
-                    exact = float(found.values[np.argmin(np.abs(found.values - value))])
-                    shares.append(float(study.truth((*design[:2], exact, design[3]), MCE).mean()))
-            right = found.meets == (shares[0] <= target) and all(share > target for share in shares[1:] if found.meets)
+            place = found.place
             rows.add(
                 part="sought",
                 seed=seed,
                 number=number,
-                target=target,
                 runs=found.simulations,
                 stripes=len(found.stripes),
-                D_tot=D_tot,
                 meets=found.meets,
-                shares=shares,
-                right=right,
+                D_tot=found.values[place],
+                below=found.values[place - 1] if place and found.meets else None,
             )
+
+
+def check_sought(study, rows):
+    """The true P of each design that was found, and one step below."""
+    for row in list(rows.of(part="sought")):
+        T_b, mu, _, Cy = SOUGHT[row["number"] - 1][0]
+        for D_tot in (row["D_tot"], row["below"]):
+            case = {"part": "share", "number": row["number"], "D_tot": D_tot}
+            if D_tot is not None and rows.lack(**case):
+                rows.add(**case, P=study.truth((T_b, mu, D_tot, Cy), MCE).mean())
 
 
 def true_curve(study, rows):
@@ -225,12 +226,14 @@ def run_designs(study, run, cases):
 
 def goals(study, options, rows):
     """All questions of all seeds that the rows lack, and the tables."""
-    for part, ask in (("question", questions), ("sought", sought), ("curve", curve)):
-        for seed in range(options.seeds):
+    parts = {"question": questions, "sought": sought, "curve": curve}
+    for seed in range(options.seeds):
+        for part in options.ask:
             if rows.lack(part=part, seed=seed):
-                ask(study, seed, rows)
+                parts[part](study, seed, rows)
                 print(f"seed {seed}: {part} done", file=sys.stderr, flush=True)
-    if rows.lack(part="true curve"):
+    check_sought(study, rows)
+    if rows.of(part="curve") and rows.lack(part="true curve"):
         true_curve(study, rows)
     tables(rows)
 
@@ -252,13 +255,16 @@ def tables(rows):
             listed(design, "{:g}"), listed(runs, "{}"), hours, f"{found[0]['true']:.3f}", listed(errors, "{:.1f}"), held
         )
     print()
-    head("D_tot sought for", "target", "runs, by seed", "hours", "D_tot [m]", "P there and one step below", "right")
+    head("D_tot sought for", "target", "runs, by seed", "hours", "D_tot [m]", "P of all records", "right")
     for number, (design, target) in enumerate(SOUGHT, 1):
         found = rows.of(part="sought", number=number)
         runs = [row["runs"] for row in found]
         places = [f"{'' if row['meets'] else '> '}{row['D_tot']:.3f}" for row in found]
-        shares = "; ".join(listed(row["shares"], "{:.3f}") for row in found)
-        right = f"{sum(row['right'] for row in found)} of {len(found)}"
+        P = {row["D_tot"]: row["P"] for row in rows.of(part="share", number=number)}
+        met = [row["meets"] == (P.get(row["D_tot"], math.nan) <= target + 1e-9) for row in found]
+        least = [row["below"] is None or P.get(row["below"], math.nan) > target for row in found]
+        shares = "; ".join(f"{D_tot:.3f}: {share:.3f}" for D_tot, share in sorted(P.items()))
+        right = f"{sum(map(all, zip(met, least, strict=True)))} of {len(found)}"
         hours = listed((HOURS * run for run in runs), "{:.0f}")
         of = listed([design[0], design[1], design[3]], "{:g}")
         line(of, f"{100 * target:g} %", listed(runs, "{}"), hours, ", ".join(places), shares, right)
@@ -292,7 +298,9 @@ def picture(rows):
 
 
 def main():
-    options = asked(__doc__, part="goals", seeds=3, work=Path, opensees=sys.executable)
+    options = asked(
+        __doc__, part="goals", seeds=3, ask=["question", "sought", "curve"], work=Path, opensees=sys.executable
+    )
     work = (options.work or ROOT / "build" / "frame").absolute()
     rows = Rows(work / "results.jsonl")
     if options.part == "picture":

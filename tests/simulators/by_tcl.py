@@ -10,9 +10,11 @@ from pathlib import Path
 
 import openseespy.opensees as ops
 
-COMMANDS = """algorithm analysis analyze constraints eigen element equalDOF fix frictionModel geomTransf getTime integrator
-load loadConst mass model node nodeCoord nodeDisp nodeVel numberer region system test timeSeries uniaxialMaterial wipe
-wipeAnalysis""".split()
+COMMANDS = (
+    *("algorithm", "analysis", "analyze", "constraints", "eigen", "element", "equalDOF", "fix", "frictionModel"),
+    *("geomTransf", "getTime", "integrator", "load", "loadConst", "mass", "model", "node", "nodeCoord", "nodeDisp"),
+    *("nodeVel", "numberer", "region", "system", "test", "timeSeries", "uniaxialMaterial", "wipe", "wipeAnalysis"),
+)
 
 
 def number(word):
