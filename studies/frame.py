@@ -16,19 +16,25 @@ peak ground velocity under 44 records; a fragility curve; and D_tot for three ta
 `picture`: runs against designs, from the results of `goals`, into docs/images/frame.png.
 """
 
+import json
 import math
 import os
 import shutil
 import subprocess
 import sys
+import time
 import tomllib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from opensees import rigid_limit
 from study import Rows, asked, head, line
 
 import activefail
+from activefail.accelerogram_sets import read_record_set
+from activefail.bearing import Bearing, Model, Tolerance, simulate_one
+from activefail.bearing.design import GRAVITY
 from activefail.risk.ida.collapse import fit_lognormal
 
 ROOT = Path(__file__).parents[1]
@@ -121,14 +127,14 @@ def at(design, pgv, free=()):
     return {name: value for name, value in values.items() if name not in free}
 
 
-def questions(study, seed, rows):
+def questions(study, seed, done):
     """P(collapse) of one design after another."""
     with study.copy(seed, "questions") as run:
         for number, design in enumerate(DESIGNS, 1):
             found = run.probability(fixed=at(design, MCE), wrong=WRONG)
             true = float(study.truth(design, MCE).mean())
             these, others = found.these, found.others
-            rows.add(
+            done(
                 part="question",
                 seed=seed,
                 number=number,
@@ -140,12 +146,12 @@ def questions(study, seed, rows):
             )
 
 
-def curve(study, seed, rows):
+def curve(study, seed, done):
     """The fragility of the first design."""
     fixed = at(DESIGNS[0], MCE, ["PGV"])
     with study.copy(seed, "curve") as run:
         found = run.fragility(against="PGV", fixed=fixed, wrong=WRONG)
-    rows.add(
+    done(
         part="curve",
         seed=seed,
         runs=found.simulations,
@@ -155,14 +161,14 @@ def curve(study, seed, rows):
     )
 
 
-def sought(study, seed, rows):
+def sought(study, seed, done):
     """D_tot for one target after another."""
     with study.copy(seed, "sought") as run:
         for number, (design, target) in enumerate(SOUGHT, 1):
             fixed = at(design, MCE, ["D_tot"])
             found = run.design(target=f"{100 * target:g}%", free=["D_tot"], fixed=fixed, wrong=WRONG)
             place = found.place
-            rows.add(
+            done(
                 part="sought",
                 seed=seed,
                 number=number,
@@ -230,7 +236,10 @@ def goals(study, options, rows):
     for seed in range(options.seeds):
         for part in options.ask:
             if rows.lack(part=part, seed=seed):
-                parts[part](study, seed, rows)
+                found = []
+                parts[part](study, seed, lambda found=found, **row: found.append(row))
+                for row in found:  # an interrupted part is repeated as a whole
+                    rows.add(**row)
                 print(f"seed {seed}: {part} done", file=sys.stderr, flush=True)
     check_sought(study, rows)
     if rows.of(part="curve") and rows.lack(part="true curve"):
@@ -278,6 +287,89 @@ def tables(rows):
         line(row["seed"], row["levels"], row["runs"], *found)
 
 
+STRONG, STIFF = (0, 13, 22, 35), (3, 10, 27, 33)
+"""Numbers of the records with which the step is halved, and of those under which the frame is stiff."""
+
+
+def checks(options, work):
+    """The table of checks in docs/frame.md."""
+    space = tomllib.loads(CAMPAIGN.read_text(encoding="utf-8"))["space"]
+    fixed = {name: entry["value"] for name, entry in space.items() if "value" in entry}
+    records = [one.motion for one in read_record_set(Path("farfield"), None, None).records]
+    work.mkdir(parents=True, exist_ok=True)
+
+    def motion(number, pgv, **changes):
+        record = records[number].scaled(pgv / records[number].peak_velocity)
+        file = work / f"check-{number}.txt"
+        np.savetxt(file, record.acceleration)
+        design = at(DESIGNS[0], pgv) | {"record": str(file), "record_dt": record.dt} | changes
+        return fixed | design, record
+
+    halved = [motion(number, MCE, time_step=step)[0] for number in STRONG for step in (0.01, 0.005)]
+    # Nearly rigid contacts, Coulomb friction, and a frame too stiff and strong to move.
+    bearing = Bearing.from_table(T_b=4.0, mu=0.06, D_tot=0.9, h_sl_ratio=0.4, h_rim_ratio=0.1, p=45.0, k=2e13)
+    length, friction = rigid_limit(bearing)
+    stiff = {"T_b": 2.0 * math.pi * math.sqrt(length / GRAVITY), "mu": friction, "D_tot": 0.9, "Cy": 2.0, "T_s": 0.3}
+    fine = {"time_step": 0.002, "mobilised": 1e-4}
+    peaks, rigid = [], []
+    for number in STIFF:
+        design, record = motion(number, 1.2, **stiff)
+        rigid += [design, design | fine]
+        alone = simulate_one(bearing, record, Model(friction_velocity=1e-5), Tolerance(1e-5), to_the_end=True)
+        peaks.append(np.abs(alone.q[:, 3]).max())
+    program = [options.opensees, ROOT / "studies" / "frame_checks.py"]
+    cases = json.dumps({"design": halved[0], "motions": halved + rigid})
+    done = subprocess.run(
+        program, input=cases, stdout=subprocess.PIPE, text=True, check=True, stderr=subprocess.DEVNULL
+    )
+    found = json.loads(done.stdout.splitlines()[-1])
+    head("check", "result")
+    for Cy, wanted, ours, matrices in found["periods"]:
+        line(f"period on a fixed base, Cy = {Cy} [s]", f"{ours:.4f}; by matrices {matrices:.4f}; intended {wanted:.4f}")
+    line("sum of the reactions under the weight, over it", f"{sum(found['reactions']):.8f}")
+    for Cy, table in found["pushover"].items():
+        drift, shear = max(table, key=lambda row: row[1])
+        text = f"{shear:.3f} of the weight at a roof drift of {100 * drift:.1f} %; 0 at {100 * table[-1][0]:.1f} %"
+        line(f"pushover, Cy = {Cy}", text)
+    first = found["motions"][: len(halved)]
+    pairs = list(zip(first[::2], first[1::2], strict=True))
+    for name in ("displacement_ratio", "peak_drift"):
+        text = listed((100.0 * (two[1][name] / one[1][name] - 1.0) for one, two in pairs), "{:+.2f}")
+        line(f"{name}, step of 5 ms against 10 ms [%]", text)
+    line("cause of collapse with either step", "; ".join(f"{one[0] or '–'}, {two[0] or '–'}" for one, two in pairs))
+    shears = [one[2] / one[3] for one in found["motions"]]
+    line("largest shear of the isolators over mu + x/L", f"{min(shears):.3f} to {max(shears):.3f}")
+    line("peak of the rigid bearing [m]", listed(peaks, "{:.3f}"))
+    last = found["motions"][len(halved) :]
+    for name, part in (("10 ms, friction over 1 mm", last[::2]), ("2 ms, over 0.1 mm", last[1::2])):
+        ratios = [one[1]["displacement_ratio"] * 0.9 / peak - 1.0 for one, peak in zip(part, peaks, strict=True)]
+        line(f"peak of a stiff frame against it, {name} [%]", listed(np.multiply(100.0, ratios), "{:+.1f}"))
+    count, seconds = features_of_a_campaign(work)
+    line("features of a campaign of 60 runs", f"{count} designs, {seconds:.1f} s of processor time")
+
+
+def features_of_a_campaign(work):
+    """How many designs' features a campaign computes, and their processor time [s]; the runs are made up."""
+    settings = tomllib.loads(CAMPAIGN.read_text(encoding="utf-8"))
+    settings["simulator"] = {"elsewhere": True, "outcomes": ["safe", "collapse"]}
+    shutil.rmtree(work / "features", ignore_errors=True)
+    with activefail.create_run(work / "features", settings, code=CAMPAIGN.parent) as run:
+        run.features(run.space.sobol(4, np.random.default_rng(0)))  # compiles
+        (module,) = (one for name, one in sys.modules.items() if name.endswith("frame_coarse"))
+        respond, count, seconds = module.respond_all, 0, 0.0
+
+        def timed(*arguments):
+            nonlocal count, seconds
+            began = time.process_time()
+            respond(*arguments)
+            count, seconds = count + len(arguments[5]), seconds + time.process_time() - began
+
+        module.respond_all = timed
+        while len(designs := run.ask(5)):
+            run.tell(designs.assign(outcome=np.where(designs["PGV"] > MCE, "collapse", "safe")))
+    return count, seconds
+
+
 def picture(rows):
     """Runs against designs."""
     import matplotlib.pyplot as plt
@@ -308,8 +400,7 @@ def main():
     elif options.part == "tables":
         tables(rows)
     elif options.part == "checks":
-        done = subprocess.run([options.opensees, ROOT / "studies" / "frame_checks.py"], check=False)
-        sys.exit(done.returncode)
+        checks(options, work)
     else:
         goals(Study(work, options.opensees), options, rows)
 

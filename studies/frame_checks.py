@@ -101,7 +101,7 @@ def pushover(ops, d):
 
 def response(motion):
     """Cause, peaks, and the largest shear over the weight beside mu + x/L."""
-    history = []
+    history, model.MOBILISED = [], motion.get("mobilised", 1e-3)
     cause, peaks = model.respond(motion, history)
     table = np.array(history)
     bound = motion["mu"] + np.abs(table[:, 1]).max() / (model.G * (motion["T_b"] / (2.0 * math.pi)) ** 2)

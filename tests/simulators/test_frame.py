@@ -219,6 +219,33 @@ def test_the_frame_in_tcl_is_the_frame_in_python(opensees: str, tmp_path: Path, 
     assert by_tcl["margins"] == pytest.approx(ofpython["margins"], rel=1e-6)
 
 
+AS_FUNCTION = """
+import json, sys
+from types import SimpleNamespace
+import numpy as np
+import frame_model
+design = json.load(sys.stdin)
+motion = SimpleNamespace(acceleration=np.loadtxt(design["record"]), dt=design.pop("record_dt"))
+print(json.dumps(frame_model.run(design | {"record": SimpleNamespace(motion=motion)})))
+"""
+
+
+def test_the_function_answers_as_the_program(opensees: str, tmp_path: Path) -> None:
+    design = design_with_record(tmp_path, 3.0, storeys=1, bays=1)
+    command = [opensees, "-c", AS_FUNCTION]
+    done = subprocess.run(command, input=json.dumps(design), capture_output=True, text=True, check=False, cwd=CAMPAIGNS)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == answer_of(opensees, design, tmp_path)
+
+
+def test_a_frame_that_cannot_be_built_is_refused(opensees: str, tmp_path: Path) -> None:
+    (tmp_path / "design.json").write_text(json.dumps(design_with_record(tmp_path, 3.0, bays=2.5)))
+    command = [opensees, CAMPAIGNS / "frame_model.py", tmp_path / "design.json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "frame_model.py: bays must be a whole number from 1 to 8, got 2.5." in done.stderr
+
+
 def test_a_campaign_runs_and_answers_a_question_under_all_records(opensees: str, tmp_path: Path) -> None:
     file = campaign_in(
         tmp_path,
