@@ -22,7 +22,7 @@ _EXTRAS = {
     "parquet": "`activefail export --parquet`",
     "sensitivity": "`activefail sensitivity`",
     "records": "the records of FEMA P695 for `activefail ida`",
-    "opensees": "the campaign opensees",
+    "opensees": "the campaigns frame and opensees",
 }
 """Extras for users, and what each is for."""
 

@@ -123,6 +123,11 @@ class Payload(Protocol):
     """What the choices of a variable stand for, such as the records of a set. To pickle it pickles no object."""
 
     @property
+    def level(self) -> str:
+        """The quantity that scales the object; empty if none does."""
+        ...
+
+    @property
     def feature_names(self) -> tuple[str, ...]:
         """The names of the features by which the classifier sees the variable."""
         ...

@@ -197,6 +197,8 @@ class CommandSimulator:
     def unnamed(self) -> list[str]:
         """The variables that neither the command nor a template names, although it names others or there is one."""
         named = {*itertools.chain(*self.filled.values()), *re.findall(r"(?:\{|AF_)(\w+)", self.command)}
+        # A scaled record has its level in it.
+        named |= {one.payload.level for one in self.space.parameters if one.payload and one.name in named}
         names = self.space.names
         return [name for name in names if name not in named] if self.templates or named & {*names} else []
 

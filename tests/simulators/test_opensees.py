@@ -1,7 +1,4 @@
-"""The campaign on OpenSees: its program, the campaign itself, and the bearing compared with OpenSees' element.
-
-Tests that need openseespy run it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
-"""
+"""The campaign on OpenSees: its program, the campaign itself, and the bearing compared with OpenSees' element."""
 
 import json
 import math
@@ -9,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -35,28 +31,7 @@ from activefail.space import Array
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
 PROGRAM = CAMPAIGNS / "opensees_model.py"
-INTERPRETER = os.environ.get("ACTIVEFAIL_OPENSEES_PYTHON", sys.executable)
 DESIGN = {"--t-b": 4.0, "--mu": 0.06, "--d-tot": 0.6, "--t-p": 1.0, "--a-p": 0.3}
-
-
-@cache
-def _missing() -> str:
-    """Why OpenSees cannot be run here; nothing if it can."""
-    command = [INTERPRETER, "-c", "import numpy, openseespy.opensees"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    except OSError as error:
-        return f"{INTERPRETER} has no openseespy: {error.strerror}"
-    last = done.stderr.strip().splitlines()
-    return f"{INTERPRETER} has no openseespy: {last[-1] if last else done.returncode}" if done.returncode else ""
-
-
-@pytest.fixture
-def opensees() -> str:
-    """An interpreter that has openseespy."""
-    if _missing():
-        pytest.skip(f"{_missing()}; ACTIVEFAIL_OPENSEES_PYTHON may name another")
-    return INTERPRETER
 
 
 def program(interpreter: str, *extra: str | Path, **changed: float) -> subprocess.CompletedProcess[str]:
