@@ -361,8 +361,11 @@ class Parameter:
 
     def contains(self, x: Array | float) -> NDArray[np.bool_]:
         """Which values of any shape the variable can have."""
-        inside = (self.low - self._rounding <= x) & (x <= self.high + self._rounding)
-        return np.asarray(inside & self.on_grid(x))
+        return np.asarray(self.spans(x) & self.on_grid(x))
+
+    def spans(self, x: Array | float) -> NDArray[np.bool_]:
+        """Which values of any shape lie between the bounds, also between steps."""
+        return np.asarray((self.low - self._rounding <= x) & (x <= self.high + self._rounding))
 
     @property
     def _rounding(self) -> float:

@@ -343,6 +343,14 @@ class DesignSpace:
         contained = [p.contains(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
         return np.asarray(np.all(contained, axis=0)) & self.meets_constraints(X)
 
+    def spans(self, X: Array) -> NDArray[np.bool_]:
+        """Which rows of X, (n, d), lie between the bounds, also between steps, and meet the constraints, (n,).
+
+        A property bound of a hazard leads between the steps, where the classifier does not extrapolate.
+        """
+        inside = [one.spans(x) for one, x in zip(self.parameters, np.asarray(X).T, strict=True)]
+        return np.asarray(np.all(inside, axis=0)) & self.meets_constraints(X)
+
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
         """The variables of designs, (n, d), by name, (n,) each, as people see them (see Parameter.column)."""
         columns = np.reshape(X, (-1, self.dimension)).T

@@ -170,7 +170,7 @@ class Question:
         """
         from activefail.reliability.integral import integrate
 
-        contains = None if self.is_own else space.contains
+        contains = None if self.is_own else space.spans
         return integrate(boundaries, self.space, resolution, designs=self.designs, contains=contains)
 
     def share_outside(self, space: DesignSpace) -> float:
@@ -214,7 +214,7 @@ class Outside:
     @cached_property
     def share(self) -> float:
         """Of the question, in any variable."""
-        return float(1.0 - (self.weight * self.space.contains(self.X)).mean())
+        return float(1.0 - (self.weight * self.space.spans(self.X)).mean())
 
     @cached_property
     def parts(self) -> tuple[Beyond, ...]:

@@ -22,6 +22,7 @@ from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_required_value
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain
+from activefail.parameter import Parameter
 from activefail.progress import Begin
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import Boundaries, Standardised, boundary_of, existence
@@ -43,6 +44,9 @@ _TRIALS = 3
 
 _TOWARDS_SAFETY = 0.05
 """Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""
+
+_ROUNDED = 1e-9
+"""Rounding error of a displacement capacity [m]."""
 
 _TARGETS = 0.001, 0.9
 """The least and the largest target."""
@@ -112,7 +116,8 @@ class _Curve:
         boundary: as a function of designs.
         hazard, question: of the site and the bearing.
         outside: share of the question's distribution outside the campaign's design space.
-        grid: (n,) displacement capacities.
+        capacity: the variable.
+        grid: (n,) values of it.
         P: (n,) their probabilities.
     """
 
@@ -120,6 +125,7 @@ class _Curve:
     hazard: Hazard
     question: Question
     outside: float
+    capacity: Parameter
     grid: Array
 
     @cached_property
@@ -132,6 +138,12 @@ class _Curve:
 
     def least(self, target: float) -> float:
         """The least capacity that meets a target, as do all larger ones of the grid; NaN if there is none."""
+        value = self._least_between(target)
+        # What is made: the next of the variable's steps.
+        steps = self.capacity.values
+        return float(steps[np.searchsorted(steps, value - _ROUNDED)]) if len(steps) and np.isfinite(value) else value
+
+    def _least_between(self, target: float) -> float:
         value = least_value(self.grid, self.P, target)
         if not self.grid[0] < value < self.grid[-1]:
             return value
@@ -163,7 +175,8 @@ class DesignAnswers:
     @property
     def _others(self) -> tuple[Slider, ...]:
         """The sliders of the site but for that of the periods."""
-        return (*_SPREADS, _FRICTION_BOUND) if FRICTION in self.space.names else _SPREADS
+        friction = next((one for one in self.space.parameters if one.name == FRICTION), None)
+        return _SPREADS if friction is None or friction.choices else (*_SPREADS, _FRICTION_BOUND)
 
     @property
     def _bearing(self) -> tuple[Slider, ...]:
@@ -292,10 +305,11 @@ class DesignAnswers:
         boundary = boundary_of(self._answers.findings.classifier, self.campaign.features, self._boundary)
         hazard = _hazard(site)
         question = hazard_question(hazard, self.space, dict(bearing))
-        grid = np.linspace(*self._range, _ALONG)
+        capacity = self.space.parameters[self.space.names.index(CAPACITY)]
+        grid = np.unique(capacity.rounded(np.linspace(*self._range, _ALONG)))
         # D_tot stays within its range.
         outside = question.at({CAPACITY: self._range[1]}).share_outside(self.space)
-        return _Curve(boundary, hazard, question, outside, grid)
+        return _Curve(boundary, hazard, question, outside, capacity, grid)
 
     def _sentence(self, is_met: bool, at: float, probability: float, target: float) -> str:
         event = f"P({self._answers.findings.beyond})"

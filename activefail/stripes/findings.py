@@ -37,7 +37,7 @@ class StripeFindings:
         """The findings of a campaign."""
         question, simulator = stripe.question, campaign.simulator
         assumed = (*question.stated_of(of_values=True), *limits_of(simulator))
-        if outside := int((~campaign.space.contains(stripe.values.X)).sum()):
+        if outside := int((~campaign.space.spans(stripe.values.X)).sum()):
             text = f"{outside} of the {len(stripe.values)} values are outside the design space, where the classifier "
             assumed = (f"{text}extrapolates.", *assumed)
         return cls(stripe, tuple(simulator.outcomes), confidence, campaign.space.written(question.fixed), assumed)

@@ -328,6 +328,21 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
     assert "cannot verify this design" in answer.json["error"]
 
 
+def test_a_required_capacity_is_one_that_is_made_and_choices_are_a_list(tmp_path):
+    made = SLIDING.replace("high = 1.0,", "high = 1.0, step = 0.1,")
+    made += 'space.liner = { choices = ["A", "B"] }\n'
+    answers = answers_of(Campaign.of(parse_settings(made, "sliding"), simulator=Sliding()), tmp_path / "run")
+    design = DesignAnswers(answers)
+    assert '<option value="1">B</option>' in page("design", design.about())
+    site = {name: value for name, value in SITE.items() if name != "mu_lower"}
+    P = required(design, {"site": site, "bearing": {"liner": 1.0}, "target": 0.5})["curve"]
+    target = 0.5 * (min(P) + max(P))
+    answer = required(design, {"site": site, "bearing": {"liner": 1.0}, "target": target})
+    curve = design._curve(tuple(site.items()), (("liner", 1.0),))
+    assert answer["required"] in np.round(np.arange(0.2, 1.05, 0.1), 12)
+    assert curve.probability(answer["required"]) <= target < curve.probability(answer["required"] - 0.1)
+
+
 def test_the_page_shows_a_hostile_name_as_text_and_labels_every_control(design):
     text = page("design", about=design.about(), home="", has_design=True)
     assert "<script>alert" not in text

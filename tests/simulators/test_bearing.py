@@ -1,15 +1,20 @@
 """The bearing as a campaign's simulator: what its physics says for certain, and what follows."""
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from activefail import TABLE_1
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError
 from activefail.findings.results import predict
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
 from activefail.reliability.integral import BoundariesOf, integrate
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.threads import one_thread
 
@@ -57,3 +62,54 @@ def test_no_number_puts_a_pulse_below_the_friction_beyond_a_boundary() -> None:
             integrate(boundaries, narrow, designs=lambda U: np.column_stack([U, np.full(len(U), 0.02)])).probability
             < 1e-300
         ).all()
+
+
+CATALOGUE = Path(__file__).parents[2] / "campaigns" / "catalogue.toml"
+
+
+def test_a_bearing_of_a_catalogue_is_the_bearing_with_the_numbers_of_its_choices() -> None:
+    campaign = Campaign.of(parse_settings(CATALOGUE.read_text(), "catalogue"))
+    space = campaign.space
+    X = space.random(40, np.random.default_rng(3))
+    liner, rim = (X[:, space.names.index(name)].astype(int) for name in ("liner", "rim"))
+    D_tot, T_p, A_p = (X[:, space.names.index(name)] for name in ("D_tot", "T_p", "A_p"))
+    mu, h_rim = np.array([0.03, 0.06, 0.10])[liner], np.array([0.05, 0.1, 0.2])[rim]
+    rest = [np.full(40, value) for value in (4.0, 0.6, 45.0, 2e9)]
+    table = np.column_stack([rest[0], mu, D_tot, rest[1], h_rim, rest[2], rest[3], T_p, A_p])
+    direct = DfpSimulator.on(TABLE_1, campaign.simulator.model, campaign.simulator.tolerance).run(table)
+    results = campaign.simulator.run(X)
+    assert results.outcome.tolist() == direct.outcome.tolist()
+    np.testing.assert_array_equal(results.margins, direct.margins)
+    assert campaign.simulator.harmless(X).tolist() == (A_p <= mu).tolist()
+    assert {"mu", "h_rim_ratio", "liner_price"} < {*campaign.features.names}
+    assert terms_of(campaign.simulator, dict(zip(space.names, X[0], strict=True))).capacity == D_tot[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "rule"),
+    [
+        ("mu = [0.03, 0.06, 0.10], ", "", "space: lacks the variable 'mu'"),
+        ("mu = [0.03,", "mu = [-0.03,", "space.liner.features.mu: must be positive for the dfp simulator, got -0.03"),
+        ("rim_price = [", "mu = [", "space.rim.features.mu: 'mu' is already"),
+        ("T_b = { value = 4.0", "T_b = { value = 0.5", "cannot be built"),
+    ],
+)
+def test_a_catalogue_that_is_no_bearing_is_refused(old: str, new: str, rule: str) -> None:
+    text = CATALOGUE.read_text()
+    assert text.count(old) == 1
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(text.replace(old, new), "catalogue"))
+    assert rule in str(refused.value)
+
+
+def test_property_bounds_lead_between_steps_but_not_between_choices() -> None:
+    hazard = read_hazard(CATALOGUE.parent / "hazards" / "near_fault.toml")
+    text = CATALOGUE.read_text()
+    with pytest.raises(InputError, match="mu_lower: cannot be applied, because the campaign has mu as a feature of"):
+        hazard_question(hazard, Campaign.of(parse_settings(text, "catalogue")).space, {})
+    liner = next(line for line in text.splitlines() if line.startswith("liner"))
+    space = Campaign.of(parse_settings(text.replace(liner, "mu = { low = 0.02, high = 0.12, step = 0.02 }"), "f")).space
+    given = {"D_tot": 0.6, "rim": 1.0}
+    between, beyond = (hazard_question(hazard, space, {**given, "mu": mu}).outside(space) for mu in (0.08, 0.02))
+    assert between.share < 0.5
+    assert beyond.share == 1.0

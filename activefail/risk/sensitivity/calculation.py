@@ -127,7 +127,7 @@ def sensitivity(
 
         decomposition = decomposed(of_unit, space.names, samples, confidence)
         if hazard is not None:
-            is_outside = ~campaign.space.contains(varied.designs(space.sobol(256, np.random.default_rng(0))))
+            is_outside = ~campaign.space.spans(varied.designs(space.sobol(256, np.random.default_rng(0))))
             outside = float((is_outside.reshape(256, -1) @ varied.weight).mean() / varied.weight.sum())
     scales: dict[str, float] = {}
     of_features = None if classifier is None else classifier.latent(outcome).length_scales
