@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from activefail.execution.executor import CountingExecutor, Executor
     from activefail.loop.probability_rule import Looks
     from activefail.loop.progress import Observer, Progress
-    from activefail.record.run_folder import FolderStore
-    from activefail.surrogate.classifier import Classifier
 
 
 _log = logging.getLogger("activefail")
@@ -183,38 +181,16 @@ def _notebook_observer(campaign: "Campaign", stop: Callable[[], bool]) -> "Obser
     return Observer(update, lambda stage: shown.update(page(stage)), stop)
 
 
-def html_of(folder: Path, campaign: "Campaign", store: "FolderStore", classifier: Callable[[], "Classifier"]) -> str:
-    """The state of a run folder as a table of HTML, with the classifier's error if it was verified."""
+def html_of(folder: Path) -> str:
+    """The state of a run folder as a table of HTML."""
     from activefail.findings.status import read_status
 
-    status, verified = read_status(folder), _verified(campaign, store, classifier)
-    lines = [*status.lines, ("error", verified), ("warning", status.summary.unseen_warning), *status.continuation]
+    status = read_status(folder)
+    lines = [*status.lines, ("warning", status.summary.unseen_warning), *status.continuation]
     rows = "".join(
         f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
     )
     return f"<table><caption>{escape(visible(str(folder)))}</caption>{rows}</table>"
-
-
-_CONFIDENCE = 0.9
-"""Of the interval of a verified error that a notebook shows."""
-
-
-def _verified(campaign: "Campaign", store: "FolderStore", classifier: Callable[[], "Classifier"]) -> str:
-    """The classifier's error in words, if it was verified after the last batch; otherwise nothing is learned."""
-    from activefail.loop.history import History
-    from activefail.surrogate.threads import one_thread
-    from activefail.verification.error import verified
-    from activefail.verification.probability_estimator import Estimator
-    from activefail.verification.stored_sets import verified_sizes
-
-    iteration = History.of(store.batches).last_iteration
-    if not verified_sizes(store, iteration):
-        return ""
-    with one_thread():
-        error = verified(Estimator(campaign, store, None, classifier(), iteration), _CONFIDENCE)
-    if error is None:
-        return ""
-    return f"{error.text} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
 
 
 def seeking_line(campaign: "Campaign") -> str:

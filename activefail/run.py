@@ -33,6 +33,7 @@ from activefail.requests import (
     VerifyRequest,
 )
 from activefail.surrogate.threads import one_thread, one_thread_of_blas
+from activefail.visible import or_worse, words
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -440,6 +441,39 @@ class Run:
         design = designs_of(self.campaign, [values])[0]
         return draw_boundary(self.findings, space.names.index(x), space.names.index(y), design, axes)
 
+    def plot_history(self, axes: Any = None) -> Any:
+        """Draw what was known after how many simulations, as the report does.
+
+        It is the probability of the target outcome or worse if the campaign seeks or estimated one or learned from a
+        margin, otherwise the accuracy on the test set of a comparison or on the validation set.
+
+        Args:
+            axes: matplotlib axes to draw on; new ones of pyplot if None.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: if the campaign has neither, or there is no simulation to learn from.
+        """
+        from activefail.figures.curves import draw_learning_curves
+        from activefail.figures.failure import draw_probability
+        from activefail.findings.quantities import plain
+        from activefail.report.evidence import curve_of
+
+        failure, outcomes = self.failure(), self.campaign.simulator.outcomes
+        if failure is not None:
+            axes = draw_probability(axes, failure, plain(or_worse(self.boundary, outcomes)))
+            axes.set_xlabel("simulations")
+        else:
+            with one_thread():
+                curve, missing = curve_of(self.campaign, self.store)
+            if curve is None:
+                raise InputError(f"plot_history: requires {missing}.")
+            axes = draw_learning_curves(axes, curve.scores, plain(words(self.boundary)), curve.test_size)
+        axes.legend()
+        return axes
+
     def model(self, outcome: str | None = None) -> Any:
         """The latent of a boundary as a BoTorch model.
 
@@ -575,7 +609,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         """The state of the campaign, for a notebook."""
-        return html_of(self.folder, self.campaign, self.store, lambda: self.classifier)
+        return html_of(self.folder)
 
     # ------------------------------------------------------------------------------------------- opening, closing
 

@@ -15,8 +15,9 @@ from scipy.stats import beta
 
 from activefail.errors import InputError
 from activefail.explorer.answers import Answers
-from activefail.explorer.server import page
+from activefail.explorer.site import CampaignSite, Slow
 from activefail.findings.estimates import rounded_up, upper_bound
+from activefail.findings.failure import FailureFindings
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
@@ -296,14 +297,20 @@ def test_the_explorer_shows_the_probability_and_offers_the_design_point(ended: P
         assert failure.is_known
         assert failure.simulations[-1] == len(opened.history)
         assert failure.low[-1] < TRUE < failure.high[-1]
-        answers = Answers(opened.findings, failure)
-    shown = page("explorer", answers.about(), answers.failure)
-    assert "Probability of failure</h2>" in shown
-    assert shown.count("<svg") == 2
-    starts = {preset["text"]: preset["point"] for preset in answers.about()["presets"]}
-    assert starts["the design point of failure"] == pytest.approx(failure.point.X)
-    assert starts["the middle of the space"] == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert "Probability of failure</h2>" not in page("explorer", answers.about())
+        answers = Answers(opened.findings)
+
+    def said(found: FailureFindings | None) -> dict[str, Any]:
+        slow = Slow(lambda: opened.classifier, lambda: found, lambda: None)
+        question = CampaignSite(answers, slow).question("/api/failure")
+        assert question is not None
+        return question.answer()
+
+    shown = said(failure)
+    assert "Probability of failure</h2>" in shown["html"]
+    assert shown["html"].count("<svg") == 2
+    assert shown["preset"]["text"] == "the design point of failure"
+    assert shown["preset"]["point"] == pytest.approx(failure.point.X)
+    assert said(None) == {"html": None, "preset": None}
 
 
 def test_a_campaign_that_asks_for_no_probability_has_no_such_section(tmp_path: Path) -> None:

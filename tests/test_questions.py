@@ -14,7 +14,7 @@ from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.explorer.answers import Answers
-from activefail.explorer.server import page as explorer
+from activefail.explorer.site import CampaignSite, Slow
 from activefail.findings.estimates import bound_of_fresh
 from activefail.opening import open_run
 from activefail.reliability.estimate import ProbabilityEstimate
@@ -145,8 +145,11 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     assert "<h3>Under the question: a &lt;worse&gt; site</h3>" in page
     assert "an estimate of the probability" not in page
     with open_run(run, code=tmp_path) as opened:
-        answers = Answers(opened.findings, opened.failure())
-        shown = explorer("explorer", answers.about(), answers.failure)
+        failure = opened.failure()
+        site = CampaignSite(Answers(opened.findings), Slow(lambda: opened.classifier, lambda: failure, lambda: None))
+        question = site.question("/api/failure")
+        assert question is not None
+        shown = question.answer()["html"]
     assert "Under a &lt;worse&gt; site: 0." in shown
     assert "Under the design measure, as are the pictures: reliability index" in shown
 

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -21,7 +21,6 @@ from activefail.cli.common import (
     print_json,
     show_stage,
     show_unseen,
-    show_warnings,
     table_output,
 )
 from activefail.cli.options import Parameters, parameters_of, sign
@@ -31,6 +30,12 @@ from activefail.files import writing_to
 from activefail.progress import uncounted
 from activefail.request import Option, Request, options
 from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.explorer.pages import Site
+    from activefail.report.evidence import Curve
+    from activefail.run import Run
+    from activefail.surrogate.classifier import Classifier
 
 
 def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
@@ -102,8 +107,37 @@ def _parameters(request: type[Request[Any]]) -> Parameters:
     return parameters | {"code": (Code, None)}
 
 
+def _site_of(folder: Path, code: Path | None = None, home: str = "") -> "Site":
+    """The explorer's site of a run folder."""
+    from activefail.explorer.answers import Answers
+    from activefail.explorer.site import CampaignSite, Slow
+    from activefail.findings.results import findings_of
+    from activefail.surrogate.threads import one_thread_from_now_on
+
+    with opened_run(folder, code=code) as opened:
+        # What is shown at first needs predictions alone.
+        classifier = cast("Classifier", opened._predicting())
+        findings = findings_of(opened.folder, opened.campaign, opened.store, classifier)
+        show_unseen(opened.summary)
+
+    def learning() -> "Run":
+        one_thread_from_now_on()
+        return opened
+
+    def curve() -> "Curve | None":
+        from activefail.report.evidence import curve_of
+
+        return curve_of(learning().campaign, opened.store)[0]
+
+    slow = Slow(lambda: learning().classifier, lambda: learning().failure(), curve)
+    return CampaignSite(Answers(findings), slow, home)
+
+
 def explore(
-    folder: RunFolder,
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Run folder of a campaign, or a folder of run folders.", metavar="DIR", show_default=False),
+    ],
     host: Annotated[
         str, typer.Option(help="Address to listen on; visitors from other machines always need the token.")
     ] = "127.0.0.1",
@@ -113,21 +147,22 @@ def explore(
     ] = False,
     code: Code = None,
 ) -> None:
-    """Serve an interactive page of a campaign.
+    """Serve an interactive page of a campaign, or of all campaigns in a folder of run folders.
 
     By default only this machine can connect, and only with the token in the printed address.
     """
-    from activefail.explorer.answers import Answers
+    from activefail.explorer.runs import Runs, run_folders
     from activefail.explorer.server import ExplorerServer
-    from activefail.surrogate.threads import one_thread
+    from activefail.surrogate.threads import one_thread_of_blas
 
-    with one_thread():
-        with opened_run(folder, code=code) as opened:
-            opened.learn(show_stage)
-            findings, failure = opened.findings, opened.failure(show_stage)
-            show_warnings(opened.store.new_warnings())
-            show_unseen(opened.summary)
-        server = ExplorerServer(host, port, Answers(findings, failure), not no_token)
+    with one_thread_of_blas():
+        if run_folders(folder):
+            if code is not None:
+                raise InputError(f"--code: requires one run folder, but {folder} holds several.")
+            site: Site = Runs(folder, lambda one: _site_of(one, home="../../"))
+        else:
+            site = _site_of(folder, code)
+        server = ExplorerServer(host, port, site, not no_token)
         print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
         try:
             server.serve_forever()

@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from activefail.comparison.seeds import Point, simulations_to_reach
-from activefail.comparison.static import Score, by_size, score_lines
+from activefail.comparison.static import by_size, score_lines
 from activefail.record.layout import CURVES, SCORES
 from activefail.shares import percent
+from activefail.verification.scores import Score
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.scores import log_score, probability_of_truth
 
 NEIGHBOURS = 4
 """Displaced copies of each test design, which show whether it is near a boundary."""
@@ -42,16 +43,6 @@ def expected_calibration_error(p: Array, y: NDArray[np.bool_], bins: int = 10) -
     """Σ (n_bin/n)·|mean p − share of y| of probabilities p, (n,), over bins of equal width."""
     bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
     return float(np.abs(np.bincount(bin_index, weights=p - y, minlength=bins)).sum() / len(p))
-
-
-def probability_of_truth(probability: Array, beyond: NDArray[np.bool_]) -> Array:
-    """Probability of the true side, (n,), from the probabilities of lying beyond a boundary."""
-    return np.where(beyond, probability, 1.0 - probability)
-
-
-def log_score(probability: Array) -> float:
-    """Mean logarithm [nat] of the probabilities, (n,), of what is true; below 1e-12 they count as 1e-12."""
-    return float(np.mean(np.log(np.clip(probability, 1e-12, None))))
 
 
 def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str, float]:

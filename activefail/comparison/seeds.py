@@ -24,7 +24,6 @@ from activefail.execution.pool import ProcessPool
 from activefail.execution.processes import stopping
 from activefail.files import replacing
 from activefail.loop.history import History
-from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
 from activefail.record.layout import SETTINGS
 from activefail.record.run_folder import check_empty
@@ -207,6 +206,8 @@ def score_arm(
         static: the simulations of a static design.
         code: folder of the user's code.
     """
+    from activefail.loop.learning import learn_from
+
     campaign = Campaign.of(parse_settings(settings, arm.name), code)
     with one_thread():
         if static is None:

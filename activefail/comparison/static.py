@@ -1,131 +1,25 @@
 """Compare a campaign with static designs of the same size on the same fresh designs: scores with their intervals."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import IF_REPEATABLE
-from activefail.comparison.measures import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
 from activefail.loop.history import History
 from activefail.loop.initial import initial_size
-from activefail.loop.learning import learn_from
 from activefail.record.batch import GIVEN
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
-from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
+from activefail.verification.scores import Score, score, score_of
 from activefail.verification.stored_sets import set_name, simulated_results, simulated_set
-
-
-@dataclass(frozen=True)
-class Recall:
-    """The recall of an outcome on a test set.
-
-    Attributes:
-        recalled: designs with the outcome that are predicted to have it.
-        total: designs with the outcome.
-    """
-
-    recalled: int
-    total: int
-
-    @property
-    def share(self) -> float:
-        """recalled/total; NaN if the test set has no such design."""
-        return self.recalled / self.total if self.total else float("nan")
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Clopper and Pearson's exact 95 % interval; 0 to 1 without designs."""
-        if not self.total:
-            return 0.0, 1.0
-        interval = binomtest(self.recalled, self.total).proportion_ci(method="exact")
-        return float(interval.low), float(interval.high)
-
-    @property
-    def in_words(self) -> str:
-        """For example "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
-        if not self.total:
-            return "– (none in the test set)"
-        return f"{percent(self.share)} ({self.recalled} of {self.total}; {interval_percent(*self.interval, digits=1)})"
-
-
-@dataclass(frozen=True)
-class Score:
-    """Measures on the test set of a classifier trained on `simulations`.
-
-    Attributes:
-        sampling: "active" or "static".
-        accuracy: share of designs on the right side of the target boundary.
-        low, high: Wilson's 95 % interval of the accuracy over test sets of this size; both samplings share one set.
-        outcome_accuracy: share of designs whose most probable outcome is the true one.
-        log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
-        test_designs: size of the test set, without numerical failures.
-        recall: by outcome.
-        given: how many of the simulations the campaign did not ask for.
-        hypercube: number of the static design among those of its size, from 0.
-    """
-
-    sampling: str
-    simulations: int
-    accuracy: float
-    low: float
-    high: float
-    outcome_accuracy: float
-    log_score: float
-    test_designs: int
-    recall: Mapping[str, Recall] = field(default_factory=dict)
-    given: int = 0
-    hypercube: int = 0
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """The recall of each outcome as columns of a table."""
-        return {
-            f"{part}_{name}": number
-            for name, one in self.recall.items()
-            for part, number in (("recalled", one.recalled), ("test", one.total))
-        }
-
-
-def score(
-    sampling: str, classifier: Classifier, severity: int, simulations: int, X: Array, outcome: NDArray[np.int8]
-) -> Score:
-    """Score a classifier on designs, (n, d), with known outcomes, (n,)."""
-    probabilities = classifier.probabilities(X)
-    latent = classifier.latents[severity - 1].moments(classifier.features(X))
-    beyond = outcome >= severity
-    right = (latent.mean > 0.0) == beyond
-    interval = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
-    return Score(
-        sampling,
-        simulations,
-        float(right.mean()),
-        float(interval.low),
-        float(interval.high),
-        float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
-        log_score(probability_of_truth(latent.probability, beyond)),
-        len(X),
-        recalls(classifier.outcomes, np.argmax(probabilities, axis=1), outcome),
-    )
-
-
-def recalls(outcomes: Sequence[str], predicted: NDArray[np.intp], outcome: NDArray[np.int8]) -> dict[str, Recall]:
-    """The recall of each outcome, from the predicted and the true outcomes of designs, (n,)."""
-    return {
-        name: Recall(int(np.sum(predicted[outcome == code] == code)), int(np.sum(outcome == code)))
-        for code, name in enumerate(outcomes)
-    }
 
 
 def default_budgets(initial: int, done: int) -> list[int]:
@@ -169,6 +63,8 @@ def compare(
         InputError: if a budget is below 2 or above the campaign's simulations, the size of a static design is below 2,
             the campaign has no simulations, or its simulator does not repeat.
     """
+    from activefail.loop.learning import learn_from  # it loads torch
+
     if not campaign.settings.is_repeatable:
         raise InputError(f"compare: {IF_REPEATABLE}.")
     seed = campaign.settings.seed
@@ -294,8 +190,6 @@ def remembered_scores(store: Store) -> tuple[list[Score], int] | None:
     """The scores of the last comparison, and the number of numerical failures in its test set; None without any."""
     saved = store.recall(_IDENTITY)
     try:
-        recall = ({name: Recall(**one) for name, one in row["recall"].items()} for row in saved["scores"])
-        scores = [Score(**row | {"recall": one}) for row, one in zip(saved["scores"], recall, strict=True)]
-        return scores, int(saved["unanswered"])
+        return [score_of(row) for row in saved["scores"]], int(saved["unanswered"])
     except (AttributeError, LookupError, TypeError, ValueError):  # none, or not written by `remember_scores`
         return None

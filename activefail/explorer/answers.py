@@ -12,6 +12,7 @@ from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
+from activefail.explorer.pages import Answer
 from activefail.explorer.questions import number, one_of
 from activefail.figures.axes import outcome_colour
 from activefail.figures.curves import plot_fragility
@@ -23,13 +24,11 @@ from activefail.figures.motion import (
     slider_vertices,
     vertex_states,
 )
-from activefail.figures.outcome_planes import plot_variable_plane
+from activefail.figures.outcome_planes import Marks, plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
-from activefail.findings.failure import FailureFindings
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary, interval, predict
-from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
 from activefail.visible import or_worse, visible
@@ -39,10 +38,14 @@ if TYPE_CHECKING:
 
 _GRID, _CURVE, _FRAMES = 36, 81, 240
 
+_OPEN = 0.1
+"""Largest distance of a probability from one half at which the page may start."""
+
+_NEAR = 0.25
+"""Root mean square difference in the other variables, over their ranges, up to which a plane shows a mark in full."""
+
 UNCERTAINTY = "uncertainty"
 """What a plane shows in place of an outcome's probability."""
-
-Answer = dict[str, Any]
 
 
 class Slider(NamedTuple):
@@ -86,8 +89,8 @@ class Answers:
         sliders: of the variables, in the middle of the space.
     """
 
-    def __init__(self, findings: Findings, failure: FailureFindings | None = None) -> None:
-        self.findings, self._failure = findings, failure
+    def __init__(self, findings: Findings) -> None:
+        self.findings = findings
         self.campaign = findings.campaign
         self.space = findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
@@ -133,12 +136,11 @@ class Answers:
         # Choices have no axes.
         order = np.argsort(-findings.influence, kind="stable").tolist()
         ranking = [column for column in order if not self.space.parameters[column].choices]
-        presets = [("the middle of the space", np.array(middle_of(self.space)))]
-        if self._failure is not None and self._failure.point is not None:
-            presets.append((f"the design point of {findings.beyond}", self._failure.point.X))
+        presets = [("a design at the boundary", self._undecided)]
         for row, _ in at_the_boundary(findings):
             text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {findings.ids[row]}"
             presets.append((text, findings.X[row]))
+        presets.append(("the middle of the space", np.array(middle_of(self.space))))
         return {
             "title": visible(settings.description or findings.folder.name),
             "simulations": len(findings.X),
@@ -155,9 +157,14 @@ class Answers:
         }
 
     @property
-    def failure(self) -> dict[str, Any] | None:
-        """Numbers and pictures of the probability of failure, if the campaign says something of it."""
-        return failure_section(self.findings, self._failure)
+    def _undecided(self) -> Array:
+        """The design nearest to the middle of the space, (d,), of those whose outcome is most open."""
+        findings = self.findings
+        X = np.concatenate([findings.pool, findings.X[findings.answered]])
+        apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
+        X = X[apart <= max(_OPEN, float(apart.min()))]
+        away = np.linalg.norm(self.space.to_unit(X) - 0.5, axis=1)
+        return np.asarray(X[np.argmin(away)])
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
@@ -196,9 +203,21 @@ class Answers:
         else:
             shades, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
         axes_of = self.quantities[x], self.quantities[y]
-        figure = plot_variable_plane(axes_of, (along_x, along_y), shades.reshape(grid_x.shape), title, uncertain)
+        along, marks = (along_x, along_y), self._marks(point, [x, y])
+        figure = plot_variable_plane(
+            axes_of, along, shades.reshape(grid_x.shape), title, marks, self.outcomes, uncertain
+        )
         svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
+
+    def _marks(self, point: Sequence[float], plane: list[int]) -> list[Marks]:
+        """The simulated designs in a plane; those that differ much from the point in the other variables are pale."""
+        rows = self.findings.answered
+        X, outcome = self.findings.X[rows], self.findings.outcome[rows]
+        apart = np.delete(self.space.to_unit(X) - self.space.to_unit(np.array([point])), plane, axis=1)
+        near = (apart**2).sum(axis=1) <= _NEAR**2 * apart.shape[1]
+        pale, full = (Marks(X[some][:, plane], outcome[some], opacity) for some, opacity in ((~near, 0.3), (near, 1.0)))
+        return [pale, full]
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
         """A figure of the probability of lying beyond the target boundary against a variable."""

@@ -17,13 +17,15 @@ export function withSubscripts(text) {
   return span;
 }
 
+function power(value, digits) {
+  const [mantissa, exponent] = value.toExponential(digits - 1).split("e");
+  const raised = [...String(Number(exponent))].map((c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)]).join("");
+  return `${mantissa}·10${raised}`.replace(/^-/, "−");
+}
+
 export function number(value) {
   const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-3 || size >= 1e5)) {
-    const [mantissa, exponent] = value.toExponential(2).split("e");
-    const raised = [...String(Number(exponent))].map((c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)]).join("");
-    return `${mantissa}·10${raised}`.replace(/^-/, "−");
-  }
+  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return power(value, 3);
   return (size === 0 ? "0" : Number(value.toPrecision(3)).toString()).replace(/^-/, "−");
 }
 
@@ -34,7 +36,25 @@ export function plain(value) {
   return size !== 0 && (size < 1e-3 || size >= 1e6) ? short.toExponential().replace("e+", "e") : short.toString();
 }
 
-export const share = (p) => (p < 0.005 ? "< 0.01" : p > 0.995 ? "> 0.99" : p.toFixed(2));
+// A probability: a power of ten below 0.01, as many nines as it has above 0.99.
+export function share(p) {
+  const rest = 1 - p;
+  if (p < 1e-6) return "< 10⁻⁶";
+  if (rest < 1e-6) return "> 0.999999";
+  return p < 0.01 ? power(p, 2) : p.toFixed(rest < 0.01 ? 1 - Math.floor(Math.log10(rest)) : 2);
+}
+
+// --- fields --------------------------------------------------------------------------------------------------------
+
+// Marks a field as invalid and says why below it; without a reason, takes both away.
+export function refuse(field, reason = "") {
+  const id = `${field.id}-fault`;
+  field.setAttribute("aria-invalid", String(reason !== ""));
+  if (!reason) return find(id)?.remove();
+  const place = find(id) || document.createElement("p");
+  Object.assign(place, { id, className: "fault", role: "alert", textContent: reason });
+  field.closest(".entry").after(place);
+}
 
 // --- sliders -------------------------------------------------------------------------------------------------------
 
@@ -55,6 +75,7 @@ export function sliders(quantities, values, moved) {
       find(`v${i}`).value = toStep(i);
       find(`v${i}`).setAttribute("aria-valuetext", text);
       find(`t${i}`).value = plain(values[i]);
+      refuse(find(`t${i}`));
     });
   }
 
@@ -73,13 +94,9 @@ export function sliders(quantities, values, moved) {
     const v = quantities[i];
     const value = text.trim() === "" ? NaN : Number(text.replace("−", "-"));
     if (value >= v.low && value <= v.high) {
-      find("status").textContent = "";
       set(i, value);
       moved([i]);
-    } else {
-      find("status").textContent = `${v.text}: a number from ${plain(v.low)} to ${plain(v.high)}, not “${text}”.`;
-      show();
-    }
+    } else refuse(find(`t${i}`), `${v.text}: a number from ${plain(v.low)} to ${plain(v.high)}, not “${text}”.`);
   }
 
   quantities.forEach((v, i) => {
@@ -119,8 +136,8 @@ function showError(error) {
   find("status").textContent = `No answer: ${error.message}`;
 }
 
-// Runs one request at a time; of those made meanwhile only the last runs.
-export function latest(run) {
+// Runs one request at a time; of those made meanwhile only the last runs. Meanwhile the place with this id is busy.
+export function latest(run, id) {
   let busy = false;
   let pending = false;
   return async function start() {
@@ -129,6 +146,7 @@ export function latest(run) {
       return;
     }
     busy = true;
+    find(id)?.setAttribute("aria-busy", "true");
     try {
       do {
         pending = false;
@@ -139,6 +157,7 @@ export function latest(run) {
       showError(error);
     } finally {
       busy = false;
+      find(id)?.setAttribute("aria-busy", "false");
     }
   };
 }

@@ -1,9 +1,9 @@
 // The page Design of `activefail explore`: sends site, bearing and target to the server and shows its answers.
 
-import { about, ask, find, latest, plain, showDrawing, sliders, withSubscripts } from "./common.js";
+import { about, ask, find, latest, plain, refuse, showDrawing, sliders, withSubscripts } from "./common.js";
 
 document.querySelectorAll("[data-subscript]").forEach((place) => place.replaceChildren(withSubscripts(place.textContent)));
-if (!about.missing) begin();
+begin();
 
 function begin() {
   const quantities = [...about.periods, ...about.site, ...about.bearing];
@@ -71,6 +71,7 @@ function begin() {
 
   function showTarget() {
     find("target").value = plain(100 * target);
+    refuse(find("target"));
     const known = about.targets.find((it) => it.value === target);
     find("category").value = known ? String(known.value) : "";
   }
@@ -95,13 +96,11 @@ function begin() {
     const text = event.target.value.trim();
     const value = text === "" ? NaN : Number((Number(text) / 100).toPrecision(12));
     if (value >= about.low && value <= about.high) {
-      find("status").textContent = "";
       target = value;
       showTarget();
       moved();
     } else {
-      find("status").textContent = `Target: a number from ${plain(100 * about.low)} to ${plain(100 * about.high)} %, not “${text}”.`;
-      showTarget();
+      refuse(event.target, `Target: a number from ${plain(100 * about.low)} to ${plain(100 * about.high)} %, not “${text}”.`);
     }
   });
 

@@ -1,7 +1,7 @@
 """Answers of the page Design: the displacement capacity that a target requires, under the classifier and verified."""
 
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -11,11 +11,11 @@ import numpy as np
 
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard, hazard_of, hazard_question
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question, check_pulse
-from activefail.errors import InputError
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.execution.executor import CountingExecutor
 from activefail.execution.local import local_executor
-from activefail.explorer.answers import Answer, Answers, Slider
+from activefail.explorer.answers import Answers, Slider
+from activefail.explorer.pages import Answer
 from activefail.explorer.questions import Reader, number, read
 from activefail.explorer.verification import STEPS, Verification
 from activefail.figures.axes import outcome_colour
@@ -34,15 +34,12 @@ from activefail.shares import percent, significant
 from activefail.simulators.bearing import terms_of
 from activefail.space import Array
 from activefail.verification.probability_estimator import Estimator
-from activefail.visible import visible
 
 _ALONG = 9
 """Values of the displacement capacity on the curve."""
 
 _TRIALS = 3
 """Values between two of the curve whose probabilities are compared with the target."""
-
-_BY_COMMAND = "activefail design --question FILE --free NAME finds a design for any variables."
 
 _TOWARDS_SAFETY = 0.05
 """Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""
@@ -151,28 +148,13 @@ class _Curve:
 
 
 class DesignAnswers:
-    """Answers of the page Design about one campaign; thread-safe.
-
-    Attributes:
-        missing: why the campaign has no such page, as a sentence; empty if it has one.
-    """
+    """Answers of the page Design about one campaign with a pulse and a displacement capacity; thread-safe."""
 
     def __init__(self, answers: Answers) -> None:
         self._answers, self.campaign, self.space = answers, answers.campaign, answers.space
         self._boundary = answers.findings.boundary
-        self.missing = self._missing()
         # A target alone changes no curve.
         self._curve = lru_cache(64)(self._curve_of)
-
-    def _missing(self) -> str:
-        with suppress(InputError):
-            check_pulse(self.space, "design")
-            if CAPACITY in self.space.names:
-                return ""
-        return (
-            "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot. "
-            f"This campaign has the variables {visible(', '.join(self.space.names))}. {_BY_COMMAND}"
-        )
 
     @property
     def _quantity(self) -> Quantity:
@@ -192,10 +174,9 @@ class DesignAnswers:
     def about(self) -> Answer:
         """The data that the page contains from the start."""
         about = self._answers.about()
-        answer: Answer = {"title": about["title"], "simulations": about["simulations"], "missing": self.missing}
-        if self.missing:
-            return answer
-        return answer | {
+        return {
+            "title": about["title"],
+            "simulations": about["simulations"],
             "periods": [slider._asdict() for slider in _PERIODS],
             "site": [slider._asdict() for slider in self._others],
             "bearing": [slider._asdict() for slider in self._bearing],
@@ -218,8 +199,6 @@ class DesignAnswers:
         return {"site": self._site, "bearing": _numbers(self._bearing), "target": number(*_TARGETS)}
 
     def _site(self, name: str, values: Any) -> Numbers:
-        if self.missing:
-            raise InputError(self.missing)
         period = next((one for one in _PERIODS if isinstance(values, dict) and one.name in values), MAGNITUDE)
         return _numbers((period, *self._others))(name, values)  # type: ignore[no-any-return]
 

@@ -71,7 +71,7 @@ const predict = latest(async () => {
     return row;
   });
   find("boundaries").replaceChildren(...intervals);
-});
+}, "result");
 
 // --- the plane -----------------------------------------------------------------------------------------------------
 
@@ -86,7 +86,7 @@ const plane = latest(async () => {
   showDrawing(find("plane").querySelector(".drawing"), answer.svg);
   axes = answer.axes;
   placeMarker();
-});
+}, "plane");
 
 function placeMarker() {
   if (!axes) return;
@@ -125,7 +125,26 @@ const fragility = latest(async () => {
   if (!find("along")) return;
   const answer = await ask("fragility", { point, along: find("along").value });
   showDrawing(find("fragility"), answer.svg);
-});
+}, "fragility");
+
+// --- what the campaign learned -------------------------------------------------------------------------------------
+
+const history = latest(async () => {
+  const { svg } = await ask("curve", {});
+  if (svg) showDrawing(find("history").querySelector(".drawing"), svg);
+  else find("history").remove();
+}, "history");
+
+const failure = latest(async () => {
+  const { html, preset } = await ask("failure", {});
+  if (preset) {
+    about.presets.push(preset);
+    find("preset").add(new Option(preset.text, about.presets.length - 1), find("preset").length - 1);
+  }
+  if (!html) return find("failure").remove();
+  find("failure").replaceChildren(...new DOMParser().parseFromString(html, "text/html").body.childNodes);
+  find("failure").setAttribute("aria-labelledby", "h-probability");
+}, "failure");
 
 // --- simulation ----------------------------------------------------------------------------------------------------
 
@@ -281,7 +300,7 @@ const simulate = latest(async () => {
   histories();
   find("stage").scrollIntoView({ block: "nearest" });
   if (!window.matchMedia("(prefers-reduced-motion: reduce)").matches) play();
-});
+}, "motion");
 
 // --- start ---------------------------------------------------------------------------------------------------------
 
@@ -321,4 +340,7 @@ if (about.simulates) {
     showFrame(Number(event.target.value));
   });
 }
-moved();
+showPoint();
+await Promise.all([predict(), plane(), fragility()]);
+history();
+failure();

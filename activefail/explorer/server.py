@@ -1,4 +1,4 @@
-"""The explorer's server: two pages and the questions that they ask, on the standard library's HTTP server.
+"""The explorer's server: pages and the questions that they ask, on the standard library's HTTP server.
 
 It changes nothing and reads only its own files. It answers only requests whose Host header names this machine and whose
 Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. A request also needs
@@ -19,16 +19,15 @@ from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import Any, NamedTuple
-from urllib.parse import parse_qs, urlsplit
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, unquote, urlsplit
 
-from activefail import __version__
-from activefail.errors import InputError
-from activefail.explorer.answers import Answer, Answers
-from activefail.explorer.design import DesignAnswers
-from activefail.explorer.questions import Reader, one_of, read
-from activefail.explorer.verification import Verifications
-from activefail.report.environment import page_environment
+from activefail.errors import InputError, StoreError
+from activefail.explorer.pages import page
+from activefail.explorer.questions import read
+
+if TYPE_CHECKING:
+    from activefail.explorer.pages import Site
 
 LONGEST_BODY = 4096
 """Longest question [bytes]; a design has about a hundred."""
@@ -49,6 +48,7 @@ _HEADERS = {
 _FILES = {
     "/common.js": "text/javascript; charset=utf-8",
     "/explorer.js": "text/javascript; charset=utf-8",
+    "/runs.js": "text/javascript; charset=utf-8",
     "/design.js": "text/javascript; charset=utf-8",
     "/explorer.css": "text/css; charset=utf-8",
 }
@@ -68,38 +68,12 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return None
 
 
-def page(name: str, about: Answer, failure: dict[str, Any] | None = None) -> str:
-    """Render a page of a campaign, "explorer" or "design".
-
-    Args:
-        name: of the page.
-        about: the data that the page contains from the start.
-        failure: numbers and pictures of the probability of failure; None without one.
-    """
-    template = page_environment("activefail.explorer").get_template(f"{name}.html.j2")
-    return template.render(version=__version__, about=about, failure=failure)
-
-
-class Question(NamedTuple):
-    """A question that the pages ask.
-
-    Attributes:
-        answer: gives the answer; its arguments are the question's values.
-        readers: of the values, by key.
-    """
-
-    answer: Callable[..., Answer]
-    readers: Mapping[str, Reader]
-
-
 class ExplorerServer(ThreadingHTTPServer):
-    """Serves the pages of a campaign and answers their questions.
+    """Serves the pages of a site and answers their questions.
 
     Attributes:
         token: required of visitors; empty if none is needed.
-        pages: of the campaign, by path.
-        questions: that the pages ask with POST, by path.
-        verifications: in the background.
+        site: pages and questions.
 
     Raises:
         InputError: if the address cannot be served.
@@ -109,17 +83,11 @@ class ExplorerServer(ThreadingHTTPServer):
     # Connections waiting to be accepted; further visitors would wait for a retransmission.
     request_queue_size = 1024
 
-    def __init__(self, host: str, port: int, answers: Answers, needs_token: bool = False) -> None:
+    def __init__(self, host: str, port: int, site: "Site", needs_token: bool = False) -> None:
         self._host = host
         self.token = secrets.token_urlsafe(24) if needs_token or not is_loopback(host) else ""
-        design = DesignAnswers(answers)
-        self.pages = {
-            "/": page("explorer", answers.about(), answers.failure),
-            "/design": page("design", design.about()),
-        }
-        self.verifications = Verifications()
+        self.site = site
         self.room = threading.Semaphore(MOST_CONNECTIONS)
-        self.questions = self._questions(answers, design)
         bound = host.strip("[]")
         if ":" in bound:
             self.address_family = socket.AF_INET6
@@ -128,30 +96,10 @@ class ExplorerServer(ThreadingHTTPServer):
         except (OSError, TypeError) as error:  # TypeError: a name that cannot be encoded
             raise InputError(f"Cannot listen on {host}:{port}: {getattr(error, 'strerror', error)}.") from None
 
-    def _questions(self, answers: Answers, design: DesignAnswers) -> dict[str, Question]:
-        point, variable, shown = {"point": answers.point}, answers.variable, one_of(*answers.shown)
-
-        def verify(**asked: Any) -> Answer:
-            if design.unverified:
-                raise InputError(design.unverified)
-            return self.verifications.start(lambda verification: design.verified(verification, **asked))
-
-        return {
-            "/api/predict": Question(answers.predict, point),
-            "/api/plane": Question(answers.plane, point | {"x": variable, "y": variable, "shown": shown}),
-            "/api/fragility": Question(answers.fragility, point | {"along": variable}),
-            "/api/simulate": Question(answers.simulate, point),
-            "/api/histories": Question(answers.histories, point | {"narrow": one_of(True, False)}),
-            "/api/design": Question(design.required, design.readers),
-            "/api/verify": Question(verify, design.readers),
-            "/api/progress": Question(lambda id: id.progress(), {"id": self.verifications.named}),
-            "/api/stop": Question(lambda id: id.stop(), {"id": self.verifications.named}),
-        }
-
     def server_close(self) -> None:
-        """Stop listening, and stop the verification."""
+        """Stop listening, and what the site does in the background."""
         super().server_close()
-        self.verifications.close()
+        self.site.close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Whether there is room for a connection; it is closed if not."""
@@ -212,7 +160,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Serve the pages and their files."""
-        self._respond(self._serve_page)
+        self._respond(self._serve_page_or_reason)
 
     def do_HEAD(self) -> None:
         """Like GET, without the body."""
@@ -229,7 +177,7 @@ class _Handler(BaseHTTPRequestHandler):
             respond()
         except _RefusedError as error:
             self._refuse(error.status, str(error))
-        except InputError as error:
+        except (InputError, StoreError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         except (ConnectionError, TimeoutError):
             raise
@@ -268,23 +216,39 @@ class _Handler(BaseHTTPRequestHandler):
         cookies = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]
         return [*tokens, *(value for name, _, value in cookies if name == self.server.cookie)]
 
+    def _serve_page_or_reason(self) -> None:
+        try:
+            self._serve_page()
+        except (InputError, StoreError) as error:
+            text = page("refused", reason=str(error))
+            self._send(HTTPStatus.CONFLICT, "text/html; charset=utf-8", text.encode())
+
+    def _place(self, path: str) -> "tuple[Site | None, str]":
+        """The site of a path, None if there is none, and the path in it; that of a file alone opens no campaign."""
+        of_campaign = re.fullmatch(r"/run/([^/]+)(/.*)", path)
+        if of_campaign is None or of_campaign[2] in _FILES:
+            return self.server.site, path if of_campaign is None else of_campaign[2]
+        anew = self.command == "GET" and of_campaign[2] == "/"
+        return self.server.site.below(unquote(of_campaign[1]), anew), of_campaign[2]
+
     def _serve_page(self) -> None:
-        path = self.url.path
+        site, path = self._place(self.url.path)
         if path in _FILES:
             self._send(HTTPStatus.OK, _FILES[path], files("activefail.explorer").joinpath(path[1:]).read_bytes())
-        elif path not in self.server.pages:
+        elif site is None or (text := site.page(path)) is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Page not found.")
         elif self.server.token and "token" in parse_qs(self.url.query):
             # Move the token to a cookie: addresses are copied and logged.
             # Relative, for a proxy that serves the pages below another path.
             cookie = f"{self.server.cookie}={self.server.token}; HttpOnly; SameSite=Lax; Path=/"
-            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": f".{path}", "Set-Cookie": cookie})
+            headers = {"Location": f"./{path.rpartition('/')[2]}", "Set-Cookie": cookie}
+            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", headers)
         else:
-            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.pages[path].encode())
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", text.encode())
 
     def _answer(self) -> None:
-        asked = self.server.questions.get(self.path)
-        if asked is None:
+        site, path = self._place(self.path)
+        if site is None or (asked := site.question(path)) is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Unknown request.")
         answer = asked.answer(**read(self._question(), asked.readers))
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer, allow_nan=False).encode())

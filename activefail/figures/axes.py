@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import pyplot
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -34,6 +35,11 @@ def panel(width: float, height: float) -> tuple[Figure, Axes]:
     """A figure of this size [in] with one panel; its layout makes room for labels, and for legends outside."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.add_subplot()
+
+
+def own_axes(axes: Axes | None) -> Axes:
+    """The axes, or new ones of pyplot, which a notebook shows."""
+    return pyplot.subplots()[1] if axes is None else axes
 
 
 def plain_log(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
@@ -151,7 +157,13 @@ def outcome_marker(outcomes: Sequence[str], index: int) -> str:
 
 
 def scatter_outcomes(
-    axes: Axes, x: Array, y: Array, outcome: NDArray[np.int8], outcomes: Sequence[str], size: float
+    axes: Axes,
+    x: Array,
+    y: Array,
+    outcome: NDArray[np.int8],
+    outcomes: Sequence[str],
+    size: float,
+    opacity: float = 1.0,
 ) -> None:
     """Scatter designs at (x, y), (n,) each, by outcome, the more severe on top; rasterised if there are many."""
     for index in range(len(outcomes)):
@@ -163,6 +175,7 @@ def scatter_outcomes(
             c=outcome_colour(outcomes, index),
             marker=outcome_marker(outcomes, index),
             edgecolors="white",
+            alpha=opacity,
             linewidths=0.6,
             zorder=3,
             rasterized=len(x) > _MOST_MARKS,

@@ -9,12 +9,13 @@ from matplotlib.ticker import MaxNLocator
 
 from activefail.comparison.equivalent import equivalent
 from activefail.comparison.seeds import STATIC, Point
-from activefail.comparison.static import Score, by_size
-from activefail.figures.axes import legend_outside, log_sizes, panel
+from activefail.comparison.static import by_size
+from activefail.figures.axes import legend_outside, log_sizes, own_axes, panel
 from activefail.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, VERMILION, fitting_size, styled
 from activefail.findings.quantities import Quantity
 from activefail.findings.results import Prediction
 from activefail.space import Array
+from activefail.verification.scores import Score
 
 _LOGARITHMIC = 5
 """Ratio of the largest to the smallest number of simulations from which the axis is logarithmic."""
@@ -26,9 +27,25 @@ _SAMPLINGS = {
 
 
 @styled()
-def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int) -> Figure:
-    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling."""
-    figure, axes = panel(7.0, 4.6)
+def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int, width: float = 7.0) -> Figure:
+    """`draw_learning_curves` on a figure of its own, of this width [in]."""
+    figure, axes = panel(width, 1.5 + 0.45 * width)
+    draw_learning_curves(axes, scores, boundary, test_size)
+    legend_outside(figure)
+    return figure
+
+
+@styled()
+def draw_learning_curves(axes: Axes | None, scores: Sequence[Score], boundary: str, test_size: int) -> Axes:
+    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling.
+
+    Args:
+        axes: to draw on; new ones of pyplot, which a notebook shows, if None.
+        scores: of one or two samplings.
+        boundary: its outcome, as mathtext.
+        test_size: designs in the set of the scores.
+    """
+    axes = own_axes(axes)
     for sampling, look in _SAMPLINGS.items():
         groups = by_size([score for score in scores if score.sampling == sampling])
         if groups:
@@ -51,8 +68,7 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
     several = max(score.hypercube for score in scores) + 1
     static = f"\nstatic: lowest to highest of {several} designs of each size" if several > 1 else ""
     axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared}){static}", fontsize=9)
-    legend_outside(figure)
-    return figure
+    return axes
 
 
 def _accuracy_of(group: Sequence[Score]) -> tuple[float, float, float]:

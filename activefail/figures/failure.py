@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from activefail.figures.axes import legend_outside, outcome_handles, panel, scatter_outcomes
+from activefail.figures.axes import legend_outside, outcome_handles, own_axes, panel, scatter_outcomes
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, SKY_BLUE, VERMILION, styled
 from activefail.findings.failure import FailureFindings
 from activefail.findings.quantities import Quantity, plain
@@ -27,16 +28,34 @@ _LEAST = 4.0
 
 
 @styled()
-def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
-    """The probability with its 95 % interval under the classifier, and the simulations beyond the boundary so far.
+def plot_probability(failure: FailureFindings, beyond: str, width: float = 7.0) -> Figure:
+    """`draw_probability`, and below it the simulations beyond the boundary so far.
 
     Args:
         failure: the curve, and the estimate from fresh simulations if there is one.
         beyond: the outcomes beyond the boundary, as mathtext.
+        width: of the figure [in].
     """
-    n = failure.simulations
-    figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+    figure = Figure(figsize=(width, 1.5 + 0.53 * width), layout="constrained")
     axes, counts = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
+    draw_probability(axes, failure, beyond)
+    legend_outside(figure)
+    counts.step(failure.simulations, failure.seen, where="post", color=BLACK)
+    counts.set(xlabel="simulations", ylabel=f"{beyond}\nseen")
+    for axis in (counts.xaxis, counts.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
+    return figure
+
+
+@styled()
+def draw_probability(axes: Axes | None, failure: FailureFindings, beyond: str) -> Axes:
+    """The probability with its 95 % interval under the classifier, and that from fresh simulations.
+
+    Args:
+        axes: to draw on; new ones of pyplot, which a notebook shows, if None.
+        failure, beyond: as for `plot_probability`.
+    """
+    axes, n = own_axes(axes), failure.simulations
     positive = failure.probability > 0.0
     known = np.isfinite(failure.low) & positive
     if known.any():
@@ -56,12 +75,7 @@ def plot_probability(failure: FailureFindings, beyond: str) -> Figure:
             last = failure.probability[positive][-1]
             axes.set_ylim(max(axes.get_ylim()[0], 1e-3 * last), min(axes.get_ylim()[1], max(1e3 * last, 1e-2), 1.5))
     axes.set_ylabel(f"P({beyond}) [–]")
-    legend_outside(figure)
-    counts.step(n, failure.seen, where="post", color=BLACK)
-    counts.set(xlabel="simulations", ylabel=f"{beyond}\nseen")
-    for axis in (counts.xaxis, counts.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True))
-    return figure
+    return axes
 
 
 def plane_of(point: DesignPoint, space: DesignSpace) -> tuple[int, int]:

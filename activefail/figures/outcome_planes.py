@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
-from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -21,6 +20,7 @@ from activefail.figures.axes import (
     filled_contours,
     legend_outside,
     outcome_handles,
+    own_axes,
     panel,
     scatter_outcomes,
 )
@@ -194,7 +194,7 @@ def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | Non
         X: (d,) values of the others.
         axes: to draw on; new ones of pyplot, which a notebook shows, if None.
     """
-    axes = pyplot.subplots()[1] if axes is None else axes
+    axes = own_axes(axes)
     campaign, space, named = findings.campaign, findings.campaign.space, variables(findings.campaign)
     across, up = np.meshgrid(*(np.linspace(space.low[column], space.high[column], _FINE) for column in (x, y)))
     rows = np.tile(X, (across.size, 1))
@@ -216,26 +216,46 @@ def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | Non
     return axes
 
 
+class Marks(NamedTuple):
+    """Simulated designs in a plane.
+
+    Attributes:
+        places: (k, 2) in the plane.
+        outcome: (k,) int8.
+        opacity: of the marks.
+    """
+
+    places: Array
+    outcome: NDArray[np.int8]
+    opacity: float
+
+
 @styled()
 def plot_variable_plane(
     quantities: tuple[Quantity, Quantity],
     along: tuple[Array, Array],
     values: Array,
     title: str,
+    marks: Sequence[Marks],
+    outcomes: Sequence[str],
     uncertainty: bool = False,
 ) -> Figure:
-    """A probability, or the uncertainty of one, in the plane of two variables.
+    """A probability, or the uncertainty of one, in the plane of two variables, with simulated designs.
 
     Args:
         quantities: of the two axes.
         along: (n,) and (m,) values on the axes.
         values: (m, n) between 0 and 1.
         title: of the values.
+        marks: the designs.
+        outcomes: names, for the marks' looks.
         uncertainty: whether the values are an uncertainty.
     """
     x, y = along
     figure, axes = panel(4.0, 3.4)
     shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
+    for one in marks:
+        scatter_outcomes(axes, one.places[:, 0], one.places[:, 1], one.outcome, outcomes, 22.0, one.opacity)
     axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     colour_bar(figure, axes, shades, title, uncertainty)
     axes.set_title(title if uncertainty else f"{title}; thick line: one half")

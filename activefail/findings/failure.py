@@ -23,6 +23,7 @@ from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.system import ByMargins
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import learning_curve
 
 RARE = 0.05
 """Probability below which accuracy says little: a classifier without any failure would be right in 95 %."""
@@ -92,8 +93,14 @@ def failure_findings(
     is_sought = campaign.settings.probability_rule is not None or isinstance(latent, ByMargins)
     if estimate is None and asked is None and not is_sought:
         return None
-    rows, fitted = [], None
+    rows, fitted = list[tuple[float, ...]](), None
+    rule = campaign.settings.probability_rule
+    points = learning_curve(store) if rule is not None and rule.probability == outcome else []
+    kept = {point.simulations: point.probability for point in points if point.probability}
     for n in _sizes(campaign, history):
+        if n in kept:
+            rows.append((n, *kept[n], _seen(campaign, history[:n])))
+            continue
         stage(f"learning from the first {n} simulations")
         fitted = classifier if n == len(history) else learn_from(campaign, history[:n], fitted)
         rows.append((n, *_probability(campaign, fitted, outcome), _seen(campaign, history[:n])))

@@ -1,7 +1,7 @@
 """What `activefail status` shows: the summary of a run folder and the command that continues it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,11 +13,13 @@ from activefail.findings.learned_from import LearnedFrom, saved_choices, source_
 from activefail.findings.summary import Summary, features_in_words, where_lost
 from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
+from activefail.record.journal import is_being_written
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
-from activefail.shares import alike, lognormal_interval, percent
+from activefail.shares import alike, interval_percent, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.verification.confidence_bounds import unseen_outcomes
+from activefail.verification.scores import CurvePoint, error_of, learning_curve
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"
@@ -34,9 +36,12 @@ class Status:
         learnable: names of the simulator's margins, or the text of their system.
         lost: where runs gave no result; empty if all gave one.
         warnings: of its record; empty if it is intact.
-        state: saved after the last iteration; empty if none was.
+        saved: state after the last iteration; empty if none was.
         estimates: of probabilities by outcome, from fresh simulations of this record.
         stop_rule: how its stop rule is met; empty if it is not.
+        error: of the classifier of this record, from fresh simulations; None if it was not verified.
+        curve: what the campaign knew after its iterations.
+        is_running: whether a process has the folder open for writing.
     """
 
     folder: Path
@@ -44,16 +49,30 @@ class Status:
     learnable: tuple[str, ...]
     lost: str
     warnings: tuple[str, ...]
-    state: Mapping[str, Any]
+    saved: Mapping[str, Any]
     estimates: Mapping[str, Mapping[str, Any]]
     stop_rule: str
+    error: Mapping[str, Any] | None
+    curve: Sequence[CurvePoint]
+    is_running: bool
+
+    @property
+    def state(self) -> str:
+        """`running`, `finished`, `elsewhere` or `stopped`."""
+        summary, settings = self.summary, self.summary.settings
+        if self.is_running:
+            return "running"
+        if self.stop_rule or summary.done >= settings.sampling.budget:
+            return "finished"
+        return "elsewhere" if settings.is_elsewhere else "stopped"
 
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts, the campaign's description first, then what is known of a probability."""
         campaign = visible(self.summary.settings.description or self.folder.name)
         lines = [(title, self._learner if title == "learner" else text) for title, text in self.summary.lines]
-        return [("campaign", campaign), *self.estimate, *lines, *self.learned]
+        state = self.state + ": a process has the folder open for writing" * self.is_running
+        return [("campaign", campaign), ("state", state), *self.estimate, *lines, *self.learned]
 
     def as_json(self) -> dict[str, Any]:
         """The state as JSON values; `docs/reference/json.md` describes the keys."""
@@ -71,7 +90,9 @@ class Status:
             "never_seen": list(unseen_outcomes(summary.outcomes, summary.counts)),
             "in_flight": list(summary.in_flight),
             "corrected": summary.corrected,
+            "state": self.state,
             "stop_rule_met": bool(self.stop_rule),
+            "error": self.error,
             "estimates": {
                 outcome: {
                     name: one
@@ -88,7 +109,7 @@ class Status:
     @cached_property
     def _choices(self) -> list[LearnedFrom]:
         summary = self.summary
-        return saved_choices(self.state, summary.outcomes, self.learnable, summary.settings.classifier.learns)
+        return saved_choices(self.saved, summary.outcomes, self.learnable, summary.settings.classifier.learns)
 
     @property
     def _learner(self) -> str:
@@ -110,17 +131,18 @@ class Status:
 
     @property
     def estimate(self) -> list[tuple[str, str]]:
-        """Titles and texts of the probability: from fresh simulations if there are any, else by the classifier."""
+        """Titles and texts of the verified error and of the probability, from fresh simulations or the classifier."""
+        lines = [] if self.error is None else [("error", error_in_words(self.error))]
         if self.estimates:
-            return [("estimate", self._estimated(outcome, of)) for outcome, of in self.estimates.items()]
-        if not len(looks := self.state.get("stop/looks", ())):
-            return []
+            return [*lines, *(("estimate", self._estimated(outcome, of)) for outcome, of in self.estimates.items())]
+        if not len(looks := self.saved.get("stop/looks", ())):
+            return lines
         _, probability, sd, error = looks[-1].tolist()
         probability, low, high = alike(probability, *lognormal_interval(probability, math.hypot(sd, error), REACH))
         seen = all(self.summary.counts[:-1])
         interval = f"95 % interval {low} to {high}" if seen else "without an interval"
         text = f"probability {probability} under the classifier, {interval}; "
-        return [("estimate", text + "`activefail probability` estimates it from fresh simulations")]
+        return [*lines, ("estimate", text + "`activefail probability` estimates it from fresh simulations")]
 
     def _estimated(self, outcome: str, of: Mapping[str, Any]) -> str:
         """An estimate of an outcome's probability in words, from its numbers in JSON."""
@@ -194,6 +216,16 @@ def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:
     return "probability", outcome, digest
 
 
+def error_in_words(error: Mapping[str, Any]) -> str:
+    """A verified error with its interval, from its numbers in JSON."""
+    simulations, interval = error["simulations"], interval_percent(error["low"], error["high"])
+    requested = f"of {simulations + error['numerical_failures']} " if error["numerical_failures"] else ""
+    return (
+        f"{percent(error['error'], 2)} ({interval}) of the design space with {100.0 * error['confidence']:g} % "
+        f"confidence, {simulations} {requested}fresh simulations"
+    )
+
+
 def read_status(folder: Path) -> Status:
     """The status of a run folder; safe while the campaign runs.
 
@@ -208,7 +240,7 @@ def read_status(folder: Path) -> Status:
         schema, corrected = store.schema, len(store.corrections.place)
         summary = Summary.of(settings, schema, history, store.asked, corrected)
         saved, iteration = store.latest_state(), summary.iteration
-        state = saved[1] if saved is not None and saved[0] == iteration else {}
+        latest = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in schema.outcomes[1:]}
         estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
         return Status(
@@ -217,7 +249,10 @@ def read_status(folder: Path) -> Status:
             learnable_of(settings.simulator, schema.margins),
             where_lost(schema.variables, history.designs, ~history.answered, settings.without_order),
             store.new_warnings(),
-            state,
+            latest,
             estimates,
             noted(store),
+            store.recall(error_of(store.digest)),
+            learning_curve(store),
+            is_being_written(folder),
         )

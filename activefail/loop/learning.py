@@ -194,13 +194,3 @@ def accuracy(classifier: Classifier, severity: int, X: Array, outcome: NDArray[n
     """Share of designs, (n, d), that the classifier puts on the right side of the boundary below `severity`."""
     mean = classifier.latents[severity - 1].moments(classifier.features(X)).mean
     return float(np.mean((mean > 0.0) == (outcome >= severity)))
-
-
-def recall(classifier: Classifier, X: Array, outcome: NDArray[np.int8]) -> dict[str, float]:
-    """For each outcome of designs, (n, d), the share of its designs that the classifier predicts to have it."""
-    predicted = np.argmax(classifier.probabilities(X), axis=1)
-    return {
-        name: float(np.mean(predicted[outcome == code] == code))
-        for code, name in enumerate(classifier.outcomes)
-        if (outcome == code).any()
-    }

@@ -22,6 +22,7 @@ from activefail.record.batch import CHECK
 from activefail.reliability.hidden import contradictions, designs_of_check, hidden_places, is_whole
 from activefail.reliability.integral import BoundariesOf
 from activefail.reliability.model_probability import model_probability
+from activefail.shares import lognormal_interval
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
@@ -62,6 +63,11 @@ class Looks:
     def sd(self) -> float:
         """Standard deviation of the probability at the last look, by the posterior and the integration."""
         return float(np.hypot(*self.table[-1, 2:]))
+
+    @property
+    def interval(self) -> tuple[float, float, float]:
+        """The probability of the last look with its 95 % interval."""
+        return self.probability, *lognormal_interval(self.probability, self.sd, REACH)
 
     def is_narrow(self, cov: float) -> bool:
         """Whether the last look and one at least four simulations before it found a narrow posterior.

@@ -18,7 +18,7 @@ from activefail.loop.asking import ask
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_size
-from activefail.loop.learning import Learned, accuracy, current, recall
+from activefail.loop.learning import Learned, current
 from activefail.loop.progress import ObservedExecutor, Observer, Progress, standing
 from activefail.loop.stop_rule import how_met, note_met
 from activefail.loop.telling import record
@@ -32,6 +32,7 @@ from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import verify_by_rule
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import CurvePoint, remember_point, score
 from activefail.verification.stored_sets import VALIDATION, first_fault_text, simulated_set
 
 _WAIT = 0.5
@@ -186,11 +187,15 @@ class _Loop:
             self.observer.stage("verifying")
             estimator = Estimator(self.campaign, self.store, self.executor, classifier, progress.iteration)
             error, is_small = verify_by_rule(estimator, self.observer.stop)
+        scored = None
         if validation is not None:
-            share = accuracy(classifier, self.campaign.severity, *validation)
-            progress = replace(progress, accuracy=share, recall=recall(classifier, *validation))
+            scored = score("active", classifier, self.campaign.severity, len(history), *validation)
+            found = {name: one.share for name, one in scored.recall.items() if one.total}
+            progress = replace(progress, accuracy=scored.accuracy, recall=found)
         if len(looks.table):
             progress = replace(progress, looks=looks)
+        of_rule = looks.interval if len(looks.table) else None
+        remember_point(self.store, learned.iteration, CurvePoint(len(history), scored, of_rule))
         how = how_met(self.campaign, history, looks, is_small) if self.use_stop_rule else ""
         return replace(progress, error=error, stop_rule=how)
 

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
-from activefail.comparison.measures import expected_calibration_error, log_score, probability_of_truth
+from activefail.comparison.measures import expected_calibration_error
 from activefail.errors import InputError
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
@@ -29,6 +29,7 @@ from activefail.paper.published import tilted
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent
+from activefail.verification.scores import log_score, probability_of_truth
 
 SIZE = 250
 """Simulations of one draw, as in the paper."""

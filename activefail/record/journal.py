@@ -11,6 +11,7 @@ import fcntl
 import os
 import re
 import stat
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -31,6 +32,9 @@ LARGEST_JOURNAL = 16_000_000_000
 
 _ENTRY = re.compile(rb"activefail [0-9a-f]{64} \d{1,15} \[")
 """Where an entry begins."""
+
+_PATIENCE = 5, 0.02
+"""How often a writer tries to take the lock, and the seconds between: `is_being_written` has it for a moment."""
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, 524)
 """Errors of a file system without flock; 524 is Linux's own ENOTSUPP, which some cluster file systems return."""
@@ -66,7 +70,7 @@ class Journal:
             if not stat.S_ISREG(os.fstat(self._descriptor).st_mode):
                 raise StoreError(f"Cannot write to {folder}: {JOURNAL} is not a regular file.")
             try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._lock()
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise
@@ -83,6 +87,17 @@ class Journal:
         except BaseException:
             self.close()
             raise
+
+    def _lock(self) -> None:
+        tries, seconds = _PATIENCE
+        for left in reversed(range(tries)):
+            try:
+                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            except BlockingIOError:
+                if not left:
+                    raise
+            time.sleep(seconds)
 
     @property
     def is_writer(self) -> bool:
@@ -237,3 +252,18 @@ class Journal:
     def __del__(self) -> None:
         # A store that was not closed must not keep its folder locked.
         self.close()
+
+
+def is_being_written(folder: Path) -> bool:
+    """Whether a process has a run folder open for writing; False where the file system has no locks."""
+    try:
+        descriptor = os.open(folder / JOURNAL, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    finally:
+        os.close(descriptor)
+    return False

@@ -17,8 +17,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
-from scipy.stats import t
+from scipy.special import ndtr, stdtrit
 
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
@@ -324,7 +323,7 @@ class Plan:
         middle = self.probability + float(corrections.mean())
         variance = variance_of(corrections, missed.floor + false.floor) / m
         variance += self.standard_error**2 + missed.of_population + false.of_population
-        half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
+        half = float(stdtrit(m - 1, 0.5 + 0.5 * confidence)) * float(np.sqrt(variance))
         return middle, middle - half, middle + half
 
     def _recall(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> tuple[float, float]:
@@ -334,7 +333,7 @@ class Plan:
         the integral. Each errs a third as often as the lower bound may. Numerical failures are missed, or wrongly
         counted.
         """
-        quantile = float(t.ppf(1.0 - (1.0 - confidence) / 3.0, len(beyond) - 1))
+        quantile = float(stdtrit(len(beyond) - 1, 1.0 - (1.0 - confidence) / 3.0))
 
         def upper(wrong: NDArray[np.bool_], doubt: Doubt) -> float:
             corrections = wrong * self.ratio

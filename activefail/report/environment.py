@@ -5,9 +5,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from activefail.findings.quantities import words
 from activefail.shares import bounds_percent, interval_percent, percent, significant
-from activefail.visible import visible
+from activefail.visible import visible, words
 
 
 def subscripts(text: str) -> Markup:

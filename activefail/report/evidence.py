@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.comparison.static import Score, default_budgets, remembered_scores, score
+from activefail.comparison.static import default_budgets, remembered_scores
 from activefail.loop.history import History
 from activefail.loop.initial import initial_size
 from activefail.loop.learning import learn_from
@@ -18,6 +18,7 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import ErrorEstimate, verified
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import Score, learning_curve, score
 from activefail.verification.stored_sets import VALIDATION, set_name, sizes_of_test_sets, stored_set
 
 _BUDGETS = 5
@@ -55,13 +56,19 @@ class Reliability:
     source: str
 
 
-def _curve(campaign: Campaign, store: Store, stage: Callable[[str], None]) -> tuple[Curve | None, str | None]:
+def curve_of(
+    campaign: Campaign, store: Store, stage: Callable[[str], None] = lambda _: None
+) -> tuple[Curve | None, str | None]:
     """The learning curve, and a note on what it lacks."""
     if (remembered := remembered_scores(store)) is not None:
         scores, unanswered = remembered
         return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
     if (validation := stored_set(store, VALIDATION)) is None:
         return None, "a comparison with static designs, or a validation set (validation.size)"
+    none_of_static = "a comparison with static designs"
+    if kept := [point.score for point in learning_curve(store) if point.score is not None]:
+        shown = np.unique(np.linspace(0, len(kept) - 1, _BUDGETS).round().astype(int))
+        return Curve([kept[k] for k in shown], len(validation[0]), "validation"), none_of_static
     history, scores, classifier = History.of(store.batches), [], None
     done, initial = len(history), initial_size(campaign, history)
     budgets = np.array(default_budgets(min(initial, done), done))
@@ -73,7 +80,7 @@ def _curve(campaign: Campaign, store: Store, stage: Callable[[str], None]) -> tu
         stage(f"learning from the first {n} simulations")
         classifier = learn_from(campaign, known, classifier)
         scores.append(score("active", classifier, campaign.severity, n, *validation))
-    return (Curve(scores, len(validation[0]), "validation") if scores else None), "a comparison with static designs"
+    return (Curve(scores, len(validation[0]), "validation") if scores else None), none_of_static
 
 
 def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Reliability | None:
@@ -139,7 +146,7 @@ def evidence_of(
 ) -> Evidence:
     """The evidence for a campaign with at least one simulation."""
     stage("reading comparison and verification")
-    curve, note = _curve(campaign, store, stage)
+    curve, note = curve_of(campaign, store, stage)
     missing = {} if note is None else {"curve": note}
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:

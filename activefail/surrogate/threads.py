@@ -13,6 +13,13 @@ def one_thread_of_blas() -> Iterator[None]:
         yield
 
 
+def one_thread_from_now_on() -> None:
+    """Limit torch to one thread in this process."""
+    import torch
+
+    torch.set_num_threads(1)
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit torch and BLAS to one thread, so that sums have the same order in every run and workers get the cores."""

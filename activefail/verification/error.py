@@ -8,26 +8,29 @@ has missed, even if each is left out in turn.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.reliability.strata import rounded
 from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.moments import Moments
 from activefail.verification.confidence_bounds import StratifiedCount
-from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import error_of, keep
 from activefail.verification.stored_sets import (
     looks_before,
     set_name,
     stored_results,
     verified_sizes,
 )
+
+if TYPE_CHECKING:
+    from activefail.verification.probability_estimator import Estimator
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""
@@ -123,7 +126,7 @@ class Verification:
     expected: Array
 
 
-def planned(estimator: Estimator, simulations: int) -> Verification:
+def planned(estimator: "Estimator", simulations: int) -> Verification:
     """The plan that verifies a classifier: fresh designs, random within each part."""
     campaign = estimator.campaign
     rng = stream(campaign.settings.seed, "verification", estimator.iteration)
@@ -148,6 +151,8 @@ def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
         expected: (5,) the classifier's mean probability of being wrong in each part.
         n: simulations in all.
     """
+    from activefail.reliability.strata import rounded  # it loads torch
+
     # At least 1 % wrong in every part: the classifier's own certainty must not exempt a part from the test.
     share = np.maximum(expected, 0.01)
     weights = volumes * np.sqrt(share * (1.0 - share))
@@ -209,7 +214,9 @@ def least_simulations(error: float, confidence: float) -> int:
     return int(np.ceil(np.log1p(-confidence_of_look(confidence, 1)) / np.log1p(-error)))
 
 
-def verify_by_rule(estimator: Estimator, stop: Callable[[], bool] = lambda: False) -> tuple[ErrorEstimate | None, bool]:
+def verify_by_rule(
+    estimator: "Estimator", stop: Callable[[], bool] = lambda: False
+) -> tuple[ErrorEstimate | None, bool]:
     """The verified error if the stop rule looks now, otherwise None, and whether the rule is met.
 
     Simulates nothing if the classifier itself expects a larger error than the rule allows, or if the rule has too few
@@ -226,18 +233,21 @@ def verify_by_rule(estimator: Estimator, stop: Callable[[], bool] = lambda: Fals
     if results is None:
         return None, False
     error = _judged(estimator.campaign, plan, results, rule.confidence)
+    keep(estimator.store, error_of(estimator.store.digest), error.as_json())
     return error, error.is_at_most(rule.error, confidence)
 
 
-def verify(estimator: Estimator, simulations: int, confidence: float) -> ErrorEstimate:
+def verify(estimator: "Estimator", simulations: int, confidence: float) -> ErrorEstimate:
     """Estimate the error of the classifier from fresh simulations, which are kept in the run folder."""
     plan, (of_look, name) = planned(estimator, simulations), _names(estimator, simulations)
     results = estimator.results(name, of_look, plan.designs)
     assert results is not None  # no stop was requested
-    return _judged(estimator.campaign, plan, results, confidence)
+    error = _judged(estimator.campaign, plan, results, confidence)
+    keep(estimator.store, error_of(estimator.store.digest), error.as_json())
+    return error
 
 
-def verified(estimator: Estimator, confidence: float) -> ErrorEstimate | None:
+def verified(estimator: "Estimator", confidence: float) -> ErrorEstimate | None:
     """The error verified at the last iteration, by a user or the stop rule; None if there is none.
 
     It uses the largest stored set of fresh simulations and simulates nothing.
@@ -250,7 +260,7 @@ def verified(estimator: Estimator, confidence: float) -> ErrorEstimate | None:
     return None
 
 
-def _names(estimator: Estimator, simulations: int) -> tuple[str, str]:
+def _names(estimator: "Estimator", simulations: int) -> tuple[str, str]:
     """Names of a look's fresh simulations, and of a user's; their designs are the same."""
     of = estimator.iteration, simulations
     return set_name("look", *of), set_name("verification", *of)

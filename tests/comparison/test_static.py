@@ -10,13 +10,10 @@ from commandline import table
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.comparison.static import (
-    Score,
     compare,
     default_budgets,
-    recalls,
     remember_scores,
     remembered_scores,
-    score,
     score_lines,
     write_scores,
 )
@@ -32,6 +29,7 @@ from activefail.space import Array
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.threads import one_thread
 from activefail.surrogate.training import train
+from activefail.verification.scores import Score, recalls, score
 
 TEST = 300
 

@@ -16,6 +16,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
+from activefail.explorer.site import CampaignSite, Slow
 from activefail.findings.results import Findings, findings_of
 from activefail.loop.learning import current
 from activefail.record.run_folder import FolderStore
@@ -69,10 +70,20 @@ class Visitor:
         return self.driver.find_element("css selector", css)
 
 
+def site_of(answers: Answers) -> CampaignSite:
+    """The site of a campaign that says nothing of a probability and has no learning curve."""
+    return CampaignSite(answers, Slow(lambda: answers.findings.classifier, lambda: None, lambda: None))
+
+
+def there(visitor: Visitor, css: str, text: str = "") -> bool:
+    """Whether a page has such an element, with this text."""
+    return any(text in one.text for one in visitor.driver.find_elements("css selector", css))
+
+
 @contextmanager
 def served(answers: Answers, host: str = "127.0.0.1", needs_token: bool = False) -> Iterator[ExplorerServer]:
     """A server of these answers on a free port, in a thread of its own."""
-    with ExplorerServer(host, 0, answers, needs_token) as server:
+    with ExplorerServer(host, 0, site_of(answers), needs_token) as server:
         # Who is still being answered would compete for the classifier with the next test.
         server.daemon_threads = False
         thread = threading.Thread(target=server.serve_forever, daemon=True)

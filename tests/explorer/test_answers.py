@@ -7,14 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from campaign.stub import disc
-from explorer.conftest import answers_of
+from explorer.conftest import answers_of, site_of
 from report.test_report import other, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
 from activefail.cli.app import app
 from activefail.errors import InputError
-from activefail.explorer.server import page
 from activefail.findings.results import predict
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
@@ -60,7 +59,7 @@ def test_histories_say_where_in_them_an_instant_is(answers, narrow):
 
 
 def test_the_middle_of_the_space_has_no_digits_of_rounding(answers):
-    middle = answers.about()["presets"][0]["point"]
+    middle = answers.about()["presets"][-1]["point"]
     assert middle == [4.0, 0.07, 0.65, 0.815, 0.125, 45.0, 2.625e9, 2.625, 0.45]
     assert " --mu 0.07 " in answers.simulate(middle)["command"]
 
@@ -117,17 +116,34 @@ def test_visitors_who_ask_at_once_get_what_each_would_get_alone(answers):
 
 
 def test_the_page_names_every_variable_and_shows_a_hostile_name_as_text(answers):
-    text = page("explorer", answers.about())
+    text = site_of(answers).page("/")
     assert "<script>alert" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     assert text.count('type="range"') == 9 + 1  # and the time of the film
     assert text.count("<script") == 2  # the page's own: what it is about, and its program
 
 
+def test_the_page_starts_at_a_design_whose_outcome_is_open(answers, findings):
+    start, middle = (answers.about()["presets"][place]["point"] for place in (0, -1))
+    beyond = predict(findings.campaign, findings.classifier, np.array([start, middle])).beyond
+    assert abs(beyond[0] - 0.5) <= 0.1
+    assert abs(beyond[0] - 0.5) < abs(beyond[1] - 0.5)
+
+
+def test_a_plane_marks_every_simulated_design_and_pales_those_that_differ_in_the_other_variables(answers, findings):
+    pale, full = answers._marks(FAILING, [7, 8])
+    rows = findings.answered
+    assert len(pale.places) + len(full.places) == rows.sum()
+    apart = (findings.X[rows] - FAILING) / (findings.campaign.space.high - findings.campaign.space.low)
+    near = np.sqrt((apart[:, :7] ** 2).mean(axis=1)) <= 0.25
+    assert sorted(full.places.tolist()) == sorted(findings.X[rows][near][:, [7, 8]].tolist())
+    assert pale.opacity < full.opacity
+
+
 @pytest.mark.parametrize("dimension", [1, 2])
 def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
     answers = answers_of(disc() if dimension == 2 else other(1), tmp_path / "run")
-    text = page("explorer", answers.about())
+    text = site_of(answers).page("/")
     assert "Simulate this bearing" not in text
     assert ("Plane through this design" in text) == (dimension == 2)
     middle = answers.about()["presets"][0]["point"]

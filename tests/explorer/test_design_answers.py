@@ -17,11 +17,11 @@ from patience import PATIENCE, until
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.settings import parse_settings
-from activefail.errors import InputError, SimulationError
+from activefail.errors import SimulationError
 from activefail.explorer.answers import Answers
 from activefail.explorer.design import DesignAnswers
+from activefail.explorer.pages import page
 from activefail.explorer.questions import read
-from activefail.explorer.server import page
 from activefail.explorer.verification import StoppedError, Verification
 from activefail.opening import open_run
 from activefail.reliability.integral import boundary_of
@@ -305,24 +305,18 @@ space.A_p = { low = 0.1, high = 0.8, unit = "g" }
 """
 
 
-def test_a_campaign_without_a_pulse_has_a_sentence_in_place_of_the_page(tmp_path):
-    answers = answers_of(disc(), tmp_path / "run")
-    design = DesignAnswers(answers)
-    text = page("design", design.about())
-    assert "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot." in text
-    assert "This campaign has the variables x, y. activefail design --question FILE --free NAME finds" in text
-    assert 'type="range"' not in text
-    with pytest.raises(InputError, match="needs a pulse"):
-        asked(design, REQUEST)
-    with served(answers) as server:
-        assert request(server, path="/design").status == 200
-        assert ask(server, "design", REQUEST).status == 400
+def test_a_campaign_without_a_pulse_has_no_such_page_and_no_link_to_it(tmp_path):
+    with served(answers_of(disc(), tmp_path / "run")) as server:
+        assert 'href="design"' not in request(server).text
+        assert request(server, path="/design").status == 404
+        assert ask(server, "design", REQUEST).status == 404
+        assert ask(server, "verify", REQUEST).status == 404
 
 
 def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
     answers = answers_of(Campaign.of(parse_settings(SLIDING, "sliding"), simulator=Sliding()), tmp_path / "run")
     design = DesignAnswers(answers)
-    text = page("design", design.about())
+    text = page("design", about=design.about(), home="", has_design=True)
     assert 'id="verify"' not in text
     assert "The explorer simulates only activefail&#39;s own bearing model" in text
     site = {name: value for name, value in SITE.items() if name != "mu_lower"}
@@ -335,7 +329,7 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
 
 
 def test_the_page_shows_a_hostile_name_as_text_and_labels_every_control(design):
-    text = page("design", design.about())
+    text = page("design", about=design.about(), home="", has_design=True)
     assert "<script>alert" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     sliders = text.count('type="range"')

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import Visitor, served
+from explorer.conftest import Visitor, served, there
 from explorer.test_design_answers import asked, required
 from patience import until
 from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
@@ -121,8 +121,9 @@ def test_a_target_is_a_category_or_a_number_and_one_out_of_range_is_refused(visi
     for text in ("0", "much", ""):
         types(text)
         says = f"Target: a number from 0.1 to 90 %, not “{text}”."
-        until(lambda says=says: visitor.one("#status").text == says, "a reason")
-        assert field.get_attribute("value") == "20"
+        until(lambda says=says: there(visitor, "#target-fault", says), "a reason")
+        assert field.get_attribute("aria-invalid") == "true"
+        assert required(design, question | {"target": 0.2})["probability"] == visitor.shown()[1]
 
 
 def test_the_button_verifies_with_a_progress_bar_and_an_interval(visitor, design, tmp_path):

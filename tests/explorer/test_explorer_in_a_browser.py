@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from explorer.conftest import Visitor, served, tunnel
+from explorer.conftest import Visitor, served, there, tunnel
 from patience import until
 from report.browser import NO_BROWSER, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
@@ -108,10 +108,14 @@ def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_ref
     for text in ("0.9", "much", ""):
         types(8, text)
         until(
-            lambda result=text: visitor.one("#status").text == f"A_p: a number from 0.1 to 0.8, not “{result}”.",
+            lambda result=text: there(visitor, "#t8-fault", f"A_p: a number from 0.1 to 0.8, not “{result}”."),
             "a reason",
         )
-        assert visitor.one("#t8").get_attribute("value") == "0.4567"
+        assert visitor.one("#t8").get_attribute("aria-invalid") == "true"
+        assert visitor.one("#t8").value_of_css_property("border-color") == "rgb(180, 35, 24)"
+    assert abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9
+    types(8, "0.4567")
+    assert not there(visitor, "#t8-fault")
     assert visitor.one("#t6").get_attribute("value") == "2.5e9"
 
 

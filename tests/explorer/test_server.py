@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-from explorer.conftest import served
+from explorer.conftest import served, site_of
 from patience import PATIENCE, until
 
 from activefail.errors import InputError
@@ -240,7 +240,7 @@ def test_a_port_that_is_taken_is_named_with_the_reason(answers):
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=rf"Cannot listen on 127\.0\.0\.1:{port}: Address already in use"):
-            ExplorerServer("127.0.0.1", port, answers)
+            ExplorerServer("127.0.0.1", port, site_of(answers))
 
 
 # --- many visitors at once ---------------------------------------------------------------------------------------
@@ -266,7 +266,7 @@ def reply(line: socket.socket) -> Reply:
 
 def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answers):
     with ExitStack() as stack:
-        server = stack.enter_context(ExplorerServer("127.0.0.1", 0, answers))
+        server = stack.enter_context(ExplorerServer("127.0.0.1", 0, site_of(answers)))
         # Nobody accepts them yet: the system must hold them all.
         lines = [stack.enter_context(connected(server)) for _ in range(200)]
         point = {"point": POINT}

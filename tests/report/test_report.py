@@ -21,7 +21,7 @@ from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
-from activefail.comparison.static import Recall, Score, remember_scores
+from activefail.comparison.static import remember_scores
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import curves, outcome_planes, samples, svg
@@ -36,6 +36,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
 from activefail.shares import significant
 from activefail.surrogate.threads import one_thread
+from activefail.verification.scores import Recall, Score
 
 SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),

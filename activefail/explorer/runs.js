@@ -1,0 +1,19 @@
+// The page of all campaigns: asks for news and shows them.
+
+import { ask, find, latest } from "./common.js";
+
+const PAUSE = 2000; // [ms]
+
+const news = latest(async () => {
+  const place = find("runs");
+  const { digest, html } = await ask("runs", { known: place.dataset.digest });
+  if (html === null) return;
+  place.replaceChildren(...new DOMParser().parseFromString(html, "text/html").body.childNodes);
+  place.dataset.digest = digest;
+});
+
+// Opening a campaign for the first time takes a few seconds.
+find("runs").addEventListener("click", (event) => {
+  event.target.closest("a")?.closest("tr").setAttribute("aria-busy", "true");
+});
+setInterval(() => document.hidden || news(), PAUSE);
