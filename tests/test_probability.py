@@ -289,10 +289,14 @@ def test_a_probability_that_no_design_reaches_is_not_certified(tmp_path: Path) -
 
 
 def test_the_explorer_shows_the_probability_and_offers_the_design_point(ended: Path) -> None:
+    stages = list[str]()
     with open_run(ended / "run") as opened:
-        failure = opened.failure()
+        failure = opened.failure(stages.append)
         assert failure is not None
         assert failure.is_known
+        # What the campaign knew on its way is kept.
+        assert not [stage for stage in stages if stage.startswith("learning from")]
+        assert len(failure.simulations) > 3
         assert failure.simulations[-1] == len(opened.history)
         assert failure.low[-1] < TRUE < failure.high[-1]
     # By the command's way: it predicts by the saved state until this is asked.
