@@ -479,8 +479,8 @@ class IdaRequest(Request["IdaFindings"]):
     )
     counts: ClassVar = "simulating"
     pages: ClassVar = (
-        "Folder for ida.json, ida.csv, ida.png, ida.svg, and the simulations, so that the same command continues after "
-        "an interruption."
+        "Folder for the page ida.html, ida.json, ida.csv, ida.png, ida.svg, and the simulations, so that the same "
+        "command continues after an interruption."
     )
 
     def answer(self, run: "Run | None" = None) -> "IdaFindings":

@@ -34,6 +34,11 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def margin_in_words(name: str) -> str:
+    """A margin by its name: "the margin slack", but not "the margin margin"."""
+    return "the margin" if name == "margin" else f"the margin {visible(name)}"
+
+
 def or_worse(outcome: str, outcomes: Sequence[str]) -> str:
     """An outcome and the more severe ones in words."""
     return words(outcome) if outcome == outcomes[-1] else f"{words(outcome)} or worse"

@@ -161,7 +161,7 @@ def test_a_verbose_error_says_where_it_was_raised(tmp_path: Path) -> None:
 
 
 def test_shells_complete_commands_and_options() -> None:
-    for words, completed in (("ru", "run"), ("predict --cs", "--csv"), ("--qu", "--quiet")):
+    for words, completed in (("ru", "run"), ("predict --cs", "--csv"), ("--qu", "--quiet"), ("run q", "quick")):
         environment = {
             "_ACTIVEFAIL_COMPLETE": "complete_bash",
             "COMP_WORDS": f"activefail {words}",

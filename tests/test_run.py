@@ -99,7 +99,15 @@ def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, t
         (shown,) = re.findall("<th>error</th><td>(.*?)</td>", run._repr_html_())
         assert shown.startswith(f"{percent(error.error, 2)} (")
         assert shown.endswith("of the design space with 90 % confidence, 60 fresh simulations")
-        assert {score.sampling for score in run.compare([20, 30], 100).scores} == {"active", "static"}
+        with pytest.raises(InputError, match="plot_history: requires a comparison with static designs, or a valid"):
+            run.plot_history()
+        scores = run.compare([20, 30], 100).scores
+        assert {score.sampling for score in scores} == {"active", "static"}
+        axes = Figure().add_subplot()
+        assert run.plot_history(axes) is axes
+        shown = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
+        active = [[score.simulations, 100.0 * score.accuracy] for score in scores if score.sampling == "active"]
+        assert shown["active sampling"] == active
         assert (taken / "compare" / "scores.csv").is_file()
         assert run.export_table(tmp_path / "designs.csv") == 30
         assert run.predict_table(tmp_path / "designs.csv", tmp_path / "predicted.csv") == 0
@@ -162,6 +170,9 @@ def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
         p = run.predict({"x": points[:, 0], "y": points[:, 1], "soil": ["B"] * len(points)})["p_failure"]
         assert abs(p - 0.5).median() < 0.1
         assert sum(len(drawn.get_offsets()) for drawn in axes.collections[-2:]) == 20
+        known, axes = run.failure(), Figure().add_subplot()
+        assert run.plot_history(axes) is axes
+        assert axes.lines[0].get_xydata()[-1].tolist() == [20.0, known.probability[-1]]
         for wrong in ({"x": "x", "y": "soil"}, {"x": "x", "y": "y", "at": {"z": 1}}):
             with pytest.raises(InputError, match="must"):
                 run.plot_boundary(**wrong)

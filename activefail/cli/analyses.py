@@ -115,7 +115,7 @@ def _parameters(request: type[Request[Any]]) -> Parameters:
     return parameters | {"code": (Code, None)}
 
 
-def _site_of(folder: Path, code: Path | None = None, home: str = "") -> "Site":
+def site_of(folder: Path, code: Path | None = None, home: str = "") -> "Site":
     """The explorer's site of a run folder."""
     from activefail.explorer.answers import Answers
     from activefail.explorer.site import CampaignSite, Slow
@@ -167,9 +167,9 @@ def explore(
         if run_folders(folder):
             if code is not None:
                 raise InputError(f"--code: requires one run folder, but {folder} holds several.")
-            site: Site = Runs(folder, lambda one: _site_of(one, home="../../"))
+            site: Site = Runs(folder, lambda one: site_of(one, home="../../"))
         else:
-            site = _site_of(folder, code)
+            site = site_of(folder, code)
         server = ExplorerServer(host, port, site, not no_token)
         print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
         try:

@@ -21,12 +21,21 @@ if TYPE_CHECKING:
     from activefail.findings.summary import Summary
     from activefail.run import Run
 
+
+def _shipped(incomplete: str) -> list[str]:
+    """The names of shipped campaigns that begin so; the shell completes files where there are none."""
+    from activefail.campaign.on_disk import shipped_campaigns
+
+    return [name for name in shipped_campaigns() if name.startswith(incomplete)]
+
+
 CampaignFile = Annotated[
     Path,
     typer.Argument(
         help="Campaign file, or the name of a shipped campaign (`activefail campaigns`).",
         metavar="CAMPAIGN.toml",
         show_default=False,
+        autocompletion=_shipped,
     ),
 ]
 

@@ -8,10 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from activefail.comparison.seeds import Point, simulations_to_reach
-from activefail.comparison.static import by_size, score_lines
+from activefail.comparison.static import by_size, median_score, score_lines
 from activefail.record.layout import CURVES, SCORES
 from activefail.shares import percent
 from activefail.verification.scores import Score
+
+_Z = 1.96
+"""Least difference of two accuracies that no chance explains, in standard errors."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class Equivalent:
         test_designs: number of test designs.
         size: of a static design as accurate as the campaign; None if the largest one is less accurate.
         lowest, highest: the same for each series of static designs; None as for `size`.
+        static_accuracy: of the median static design of the campaign's size; None without one of this size.
         series: number of static designs of each size.
         smallest, largest: static sizes.
     """
@@ -38,6 +42,7 @@ class Equivalent:
     size: float | None
     lowest: float | None
     highest: float | None
+    static_accuracy: float | None
     series: int
     smallest: int
     largest: int
@@ -55,10 +60,28 @@ class Equivalent:
         else:
             text = f"{right}, as often as static sampling after about {_rounded(self.size):,}"
         if self.series == 1:
-            return f"{text} (from one static design of each size; another gives another number)."
-        low, high = (self._bound(size) for size in (self.lowest, self.highest))
-        along = low if low == high else f"{low} to {high}"
-        return f"{text} ({along} over the {self.series} series of static designs)."
+            text += " (from one static design of each size; another gives another number)."
+        else:
+            low, high = (self._bound(size) for size in (self.lowest, self.highest))
+            along = low if low == high else f"{low} to {high}"
+            text += f" ({along} over the {self.series} series of static designs)."
+        if self.static_accuracy is not None and not self.differs:
+            text += (
+                f" A static design of the same size is right for {percent(self.static_accuracy, 2)}: "
+                f"{self.test_designs:,} test designs show no difference."
+            )
+        return text
+
+    @property
+    def differs(self) -> bool:
+        """Whether the accuracy differs from that of a static design of the same size, by two independent test sets.
+
+        Both share one set, on which they mostly err alike: a difference that this finds is larger than by chance.
+        """
+        if self.static_accuracy is None:
+            return False
+        variance = sum(p * (1.0 - p) for p in (self.accuracy, self.static_accuracy)) / self.test_designs
+        return bool(abs(self.accuracy - self.static_accuracy) > _Z * np.sqrt(variance))
 
     def _bound(self, size: float | None) -> str:
         if size is None:
@@ -77,6 +100,8 @@ def equivalent(scores: Sequence[Score]) -> Equivalent | None:
     accuracy = np.array([[row.accuracy for row in group[:series]] for group in groups])
     sizes = [group[0].simulations for group in groups]
 
+    same = [group for group in groups if group[0].simulations == active.simulations]
+
     def reached(columns: slice) -> float | None:
         points = [Point(n, values[columns]) for n, values in zip(sizes, accuracy, strict=True)]
         return simulations_to_reach(points, active.accuracy)
@@ -89,6 +114,7 @@ def equivalent(scores: Sequence[Score]) -> Equivalent | None:
         reached(slice(None)),
         each[0],
         each[-1],
+        median_score(same[0]).accuracy if same else None,
         series,
         sizes[0],
         sizes[-1],

@@ -8,8 +8,10 @@ const news = latest(async () => {
   const place = find("runs");
   const { digest, html } = await ask("runs", { known: place.dataset.digest });
   if (html === null) return;
+  const focused = document.activeElement?.getAttribute("href");
   place.replaceChildren(...new DOMParser().parseFromString(html, "text/html").body.childNodes);
   place.dataset.digest = digest;
+  if (focused) [...place.querySelectorAll("a")].find((it) => it.getAttribute("href") === focused)?.focus();
 });
 
 // Opening a campaign for the first time takes a few seconds.

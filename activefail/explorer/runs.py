@@ -183,21 +183,24 @@ def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
 
 def _answer(status: Status) -> tuple[str, str]:
     """What the campaign answers, the best that it has: of what, and the value with its interval."""
-    for outcome, numbers in status.estimates.items():
+    for outcome, numbers in reversed([*status.estimates.items()]):
+        of = f"P({or_worse(outcome, status.summary.outcomes)}), {100.0 * numbers['confidence']:g} % interval"
         if numbers["extrapolated"]:
-            return f"P({or_worse(outcome, status.summary.outcomes)})", f"at most {alike(numbers['high'])[0]}"
+            return of, f"at most {alike(numbers['high'])[0]}"
         probability, low, high = alike(numbers["probability"], numbers["low"], numbers["high"])
-        return f"P({or_worse(outcome, status.summary.outcomes)})", f"{probability} ({low} to {high})"
+        return of, f"{probability} ({low} to {high})"
     if (error := status.error) is not None:
-        return "verified error", f"{percent(error['error'])} ({interval_percent(error['low'], error['high'], 1)})"
+        of = f"verified error, {100.0 * error['confidence']:g} % interval"
+        return of, f"{percent(error['error'])} ({interval_percent(error['low'], error['high'], 1)})"
     last = status.curve[-1] if status.curve else None
     if last is not None and last.probability is not None:
         probability, low, high = alike(*last.probability)
-        interval = f" ({low} to {high})" if all(status.summary.counts[:-1]) else ", without an interval"
-        return "probability under the classifier", f"{probability}{interval}"
+        if not all(status.summary.counts[:-1]):
+            return "probability under the classifier, without an interval", probability
+        return "probability under the classifier, 95 % interval", f"{probability} ({low} to {high})"
     if last is not None and last.score is not None:
         interval = interval_percent(1.0 - last.score.high, 1.0 - last.score.low, 1)
-        of = f"error on {last.score.test_designs} validation designs"
+        of = f"error on {last.score.test_designs} validation designs, 95 % interval"
         return of, f"{percent(1.0 - last.score.accuracy)} ({interval})"
     return "", ""
 

@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from activefail.explorer.design import DesignAnswers
     from activefail.explorer.verification import Verifications
     from activefail.findings.failure import FailureFindings
+    from activefail.findings.results import Findings
     from activefail.report.evidence import Curve
     from activefail.surrogate.classifier import Classifier
 
 
 _WIDTH = 4.4
-"""Width of the learning curve [in], which is read on a phone too."""
+"""Width of figures [in], which are read on a phone too."""
 
 
 class Slow(NamedTuple):
@@ -63,10 +64,14 @@ class CampaignSite:
         return Verifications()
 
     @cached_property
+    def _findings(self) -> "Findings":
+        return replace(self._answers.findings, classifier=self._slow.classifier())
+
+    @cached_property
     def _design(self) -> "DesignAnswers":
         from activefail.explorer.design import DesignAnswers
 
-        return DesignAnswers(Answers(replace(self._answers.findings, classifier=self._slow.classifier())))
+        return DesignAnswers(Answers(self._findings))
 
     @property
     def _links(self) -> dict[str, Any]:
@@ -129,8 +134,8 @@ class CampaignSite:
         """The section on the probability of failure, and its design point as a start; both None without them."""
         from activefail.report.failure import failure_section
 
-        found, findings = self._slow.failure(), self._answers.findings
-        section = failure_section(findings, found)
+        found, findings = self._slow.failure(), self._findings
+        section = failure_section(findings, found, _WIDTH)
         html = section and page("failure", failure=section, beyond=findings.beyond)
         start = None
         if found is not None and found.point is not None:

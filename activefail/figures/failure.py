@@ -92,7 +92,11 @@ def _marginal(x: Array, space: DesignSpace) -> Array:
 
 @styled()
 def plot_failure_domain(
-    point: DesignPoint, standardised: Callable[[Array], Array], findings: Findings, quantities: Sequence[Quantity]
+    point: DesignPoint,
+    standardised: Callable[[Array], Array],
+    findings: Findings,
+    quantities: Sequence[Quantity],
+    width: float = 7.0,
 ) -> Figure:
     """The failure domain in the plane of the two variables that matter most, through the most probable failure.
 
@@ -101,6 +105,7 @@ def plot_failure_domain(
         standardised: the latent's mean/sd as a function of designs.
         findings: of a campaign with at least two variables.
         quantities: of the variables.
+        width: of the figure [in].
     """
     space, outcomes, beyond = findings.campaign.space, findings.campaign.simulator.outcomes, plain(findings.beyond)
     X, outcome = findings.X[findings.answered], findings.outcome[findings.answered]
@@ -115,7 +120,7 @@ def plot_failure_domain(
     rows[:, i], rows[:, j] = (values.ravel() for values in np.meshgrid(along[:, i], along[:, j]))
     certainty = standardised(rows).reshape(_GRID, _GRID)
     x, y = along[:, i], along[:, j]
-    figure, axes = panel(7.0, 5.6)
+    figure, axes = panel(width, 0.8 * width)
     farthest = float(np.abs(certainty).max()) + 2.0 * _SURE
     sides = (SKY_BLUE, LIGHT_GREY, ORANGE)
     axes.contourf(x, y, certainty, levels=[-farthest, -_SURE, _SURE, farthest], colors=sides, alpha=0.45)

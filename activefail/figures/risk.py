@@ -30,7 +30,7 @@ _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 def plot_fragility_findings(findings: FragilityFindings) -> Figure:
     """The curves of all boundaries; beside them, under a hazard, the pulses that cause the most severe outcome.
 
-    The curve is the result. The lognormal curve, dotted, shows how far it is from one.
+    The curve is the result. A lognormal curve that describes it is dotted.
     """
     deaggregation = findings.boundaries[-1].deaggregation
     is_shown = deaggregation is not None and deaggregation.failures is not None
@@ -64,7 +64,7 @@ def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str)
     if one.alone is not None:
         alone = one.alone.ladder.levels, one.alone.probability
         axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone")
-    if (fit := one.lognormal) is not None:
+    if (fit := one.lognormal) is not None and one.is_lognormal:
         axes.plot(levels, fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal")
     if one.verified:
         estimates = [level.estimate for level in one.verified]

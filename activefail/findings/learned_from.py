@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from activefail.visible import visible, words
+from activefail.visible import margin_in_words, visible, words
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
@@ -67,7 +67,7 @@ def source_in_words(name: str) -> str:
     """What a boundary is learned from: a margin, a system by its text, or the outcomes if the name is empty."""
     if not name:
         return "the outcomes"
-    return f"the margin {visible(name)}" if name.isidentifier() else f"the system {visible(name)}"
+    return margin_in_words(name) if name.isidentifier() else f"the system {visible(name)}"
 
 
 def candidate_of(learnable: Sequence[str], learns: str) -> str:

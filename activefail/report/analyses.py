@@ -29,7 +29,7 @@ from activefail.risk.fragility.findings import (
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import SensitivityFindings, write_csv
 from activefail.simulators.bearing import DfpSimulator
-from activefail.visible import or_worse
+from activefail.visible import or_worse, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,12 +80,14 @@ def curves_shown(findings: FragilityFindings, figure: "Figure") -> dict[str, Any
         "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
         "given": fixed_in_words(findings),
         "picture": inline(figure, "curves", title),
-        "boundaries": [
-            (or_worse(one.outcome, findings.outcomes), _rows(of_boundary(findings, one)))
-            for one in reversed(findings.boundaries)
+        "columns": [or_worse(one.outcome, findings.outcomes) for one in reversed(findings.boundaries)],
+        "rows": _rows([of_boundary(findings, one) for one in reversed(findings.boundaries)]),
+        "verified": [
+            (or_worse(one.outcome, findings.outcomes), level) for one in findings.boundaries for level in one.verified
         ],
+        "unit": findings.ladder.unit,
         "has_alone": any(one.alone is not None for one in findings.boundaries),
-        "has_lognormal": any(one.lognormal is not None for one in findings.boundaries),
+        "has_lognormal": any(one.is_lognormal for one in findings.boundaries),
         "has_pulses": parts is not None and parts.failures is not None,
         "has_verification": findings.has_verification,
         "no_risk": why_no_risk(findings),
@@ -93,15 +95,16 @@ def curves_shown(findings: FragilityFindings, figure: "Figure") -> dict[str, Any
     }
 
 
-def _rows(titled: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Titles, each with its texts; an empty title continues the one before."""
-    rows: list[tuple[str, list[str]]] = []
-    for title, text in titled:
-        if rows and title in ("", rows[-1][0]):
-            rows[-1][1].append(text)
-        else:
-            rows.append((f"capacity at {title}" if title.endswith("%") else title, [text]))
-    return rows
+def _rows(columns: list[list[tuple[str, str]]]) -> list[tuple[str, list[list[str]]]]:
+    """Titles, each with its texts in each column, without verified levels; an empty title continues the one before."""
+    rows: dict[str, list[list[str]]] = {}
+    for number, titled in enumerate(columns):
+        last = ""
+        for title, text in titled:
+            last = title or last
+            rows.setdefault(last, [[] for _ in columns])[number].append(text)
+    rows.pop("verified", None)
+    return [(f"capacity at {title}" if title.endswith("%") else title, texts) for title, texts in rows.items()]
 
 
 def write_design(findings: DesignFindings | DesignByStripes, campaign: Campaign, folder: Path) -> list[Path]:
@@ -178,12 +181,26 @@ def write_sensitivity(sensitivity: SensitivityFindings, campaign: Campaign, out:
 
 
 def write_ida(findings: IdaFindings, folder: Path) -> list[Path]:
-    """Write ida.json, ida.csv, ida.png and ida.svg into a folder; returns the files."""
-    numbers = findings.as_json()
+    """Write the page, ida.json, ida.csv, ida.png and ida.svg into a folder; returns the files."""
+    numbers, figure = findings.as_json(), plot_ida(findings)
     columns = list(numbers["records"][0])
 
     def write_table(path: Path) -> None:
         with writing(path, columns) as write:
             write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
 
-    return write_folder(folder, {"ida.json": json_text(numbers), "ida.csv": write_table}, {"ida": plot_ida(findings)})
+    title = f"Capacities of {len(numbers['records'])} records for {words(findings.outcome)}"
+    page = (
+        page_environment()
+        .get_template("ida.html.j2")
+        .render(
+            version=__version__,
+            title=title,
+            findings=findings,
+            rows=findings.rows,
+            records=numbers["records"],
+            drawn=inline(figure, "ida", title),
+        )
+    )
+    texts = {"ida.html": page, "ida.json": json_text(numbers) + "\n"}
+    return write_folder(folder, {**texts, "ida.csv": write_table}, {"ida": figure})

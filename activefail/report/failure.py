@@ -18,8 +18,8 @@ from activefail.reliability.integral import boundary_of
 from activefail.shares import alike, percent
 
 
-def failure_section(findings: Findings, failure: FailureFindings | None) -> dict[str, Any] | None:
-    """The numbers and pictures of the section; None if the campaign says nothing of a probability."""
+def failure_section(findings: Findings, failure: FailureFindings | None, width: float = 7.0) -> dict[str, Any] | None:
+    """The numbers of the section and its pictures, of a width [in]; None if nothing is said of a probability."""
     if failure is None:
         return None
     estimate, asked = failure.estimate, failure.asked
@@ -32,7 +32,7 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
         shown["asked"] = _texts(asked.estimate, asked.high if asked.is_extrapolated else None)
         shown["asked"] |= {"question": asked.question, "outside": percent(asked.extrapolated)}
     model, *ends = alike(float(failure.probability[-1]), low, high)
-    figure = plot_probability(failure, quantities.plain(findings.beyond))
+    figure = plot_probability(failure, quantities.plain(findings.beyond), width)
     return shown | {
         "is_rare": failure.is_rare,
         "model": model,
@@ -41,7 +41,7 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
         "bound": rounded_up(failure.bound),
         "seen": int(failure.seen[-1]),
         "picture": inline(figure, "probability", "Probability against simulations"),
-        "point": _point(findings, failure),
+        "point": _point(findings, failure, width),
     }
 
 
@@ -68,7 +68,7 @@ def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]
     }
 
 
-def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | None:
+def _point(findings: Findings, failure: FailureFindings, width: float) -> dict[str, Any] | None:
     point, campaign = failure.point, findings.campaign
     if point is None:
         return None
@@ -78,7 +78,7 @@ def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | Non
     with suppress(InputError):
         if space.dimension > 1:
             latent = boundary_of(findings.classifier, campaign.features, findings.boundary)
-            figure = plot_failure_domain(point, latent, findings, names)
+            figure = plot_failure_domain(point, latent, findings, names, width)
             drawn = inline(figure, "domain", "Failure domain through the design point")
             plane = " and ".join(names[column].text for column in plane_of(point, space))
     # The variables of a correlated space have no shares.

@@ -10,6 +10,7 @@ import numpy as np
 
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import Array, DesignSpace
+from activefail.visible import margin_in_words
 
 
 def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, Any]]:
@@ -137,10 +138,12 @@ def _of_limit_state(
     """
     number = _one_number(answer)
     if number is None:
-        raise UnusableAnswerError(f"{_ways(outcomes)}, or the margin {margin} as one number, got {answer!r}")
+        raise UnusableAnswerError(f"{_ways(outcomes)}, or {margin_in_words(margin)} as one number, got {answer!r}")
     value = _number(margin, number)
     if not np.isfinite(value):
-        raise UnusableAnswerError(f"the margin {margin} is {value}; without an outcome it must be a finite number")
+        raise UnusableAnswerError(
+            f"{margin_in_words(margin)} is {value}; without an outcome it must be a finite number"
+        )
     return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
 
 

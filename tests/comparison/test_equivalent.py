@@ -3,7 +3,7 @@
 import pytest
 
 from activefail.comparison.equivalent import equivalent
-from activefail.comparison.static import Score
+from activefail.verification.scores import Score
 
 
 def scored(sampling: str, simulations: int, accuracy: float, hypercube: int = 0) -> Score:
@@ -53,3 +53,18 @@ def test_one_static_design_of_each_size_gives_no_range() -> None:
 def test_without_one_of_the_samplings_there_is_nothing_to_compare() -> None:
     assert equivalent(STATIC) is None
     assert equivalent([scored("active", 500, 0.96)]) is None
+
+
+def test_one_design_of_two_hundred_is_no_difference() -> None:
+    def of_200(sampling: str, accuracy: float) -> Score:
+        return Score(sampling, 60, accuracy, accuracy, accuracy, accuracy, -0.1, 200)
+
+    same = equivalent([of_200("active", 0.965), of_200("static", 0.97)])
+    assert same is not None
+    assert not same.differs
+    text = same.in_words("failure")
+    assert text.endswith("A static design of the same size is right for 97.00 %: 200 test designs show no difference.")
+    other = equivalent([of_200("active", 0.965), of_200("static", 0.90)])
+    assert other is not None
+    assert other.differs
+    assert "show no difference" not in other.in_words("failure")

@@ -70,14 +70,15 @@ class Visitor:
         return self.driver.find_element("css selector", css)
 
 
-def site_of(answers: Answers) -> CampaignSite:
+def site_of(answers: Answers, home: str = "") -> CampaignSite:
     """The site of a campaign that says nothing of a probability and has no learning curve."""
-    return CampaignSite(answers, Slow(lambda: answers.findings.classifier, lambda: None, lambda: None))
+    return CampaignSite(answers, Slow(lambda: answers.findings.classifier, lambda: None, lambda: None), home)
 
 
 def there(visitor: Visitor, css: str, text: str = "") -> bool:
     """Whether a page has such an element, with this text."""
-    return any(text in one.text for one in visitor.driver.find_elements("css selector", css))
+    script = "return [...document.querySelectorAll(arguments[0])].map((it) => it.innerText)"
+    return any(text in one for one in visitor.driver.execute_script(script, css))
 
 
 @contextmanager

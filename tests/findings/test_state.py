@@ -13,6 +13,7 @@ from activefail.findings.status import read_status
 from activefail.loop.learning import accuracy, current
 from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
+from activefail.report.evidence import curve_of
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import verify
 from activefail.verification.probability_estimator import Estimator
@@ -46,6 +47,10 @@ def test_a_campaign_is_running_while_a_process_writes_then_stopped_and_at_its_bu
         assert designs is not None
         last = accuracy(learned.classifier, campaign.severity, *designs)
         assert [point.simulations for point in learning_curve(store)][-1] == budget
+        stages = list[str]()
+        curve, _ = curve_of(campaign, store, stages.append)
+        assert curve is not None
+        assert (curve.scores[-1].accuracy, stages) == (last, [])
     after = read_status(folder)
     assert after.state == "finished"
     assert after.as_json()["error"] == error.as_json()

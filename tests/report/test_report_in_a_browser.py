@@ -42,6 +42,13 @@ def test_the_report_opens_without_a_complaint_or_a_request(report, driver, name,
     assert console_errors(driver) == []
     assert [url for url in requested(driver) if not url.startswith(("file:", "data:"))] == []
     assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    # What does not answer the question at once is folded, and a link to it opens it.
+    folded = driver.execute_script("return document.documentElement.scrollHeight")
+    assert not driver.find_element("css selector", "#samples svg").is_displayed()
+    driver.find_element("css selector", "nav a[href='#samples']").click()
+    assert driver.find_element("css selector", "#samples svg").is_displayed()
+    driver.execute_script("document.querySelectorAll('details').forEach((it) => (it.open = true))")
+    assert folded < 0.6 * driver.execute_script("return document.documentElement.scrollHeight")
     figures = driver.find_elements("tag name", "figure")
     assert len(figures) >= 10
     for figure in figures:

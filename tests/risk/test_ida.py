@@ -394,8 +394,12 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert "8 from 4 events, scaled to PGV" in result.out
     assert "95 % interval" in result.out
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written >= {"ida.json", "ida.csv", "ida.png", "ida.svg"}
+    assert written >= {"ida.html", "ida.json", "ida.csv", "ida.png", "ida.svg"}
     numbers = json.loads(activefail(*words, "--json").out)
+    page = (tmp_path / "out" / "ida.html").read_text()
+    assert f"<dt>median</dt><dd>{numbers['median']:.3g} m/s (" in page
+    for one in numbers["records"]:
+        assert f'<th scope="row">{one["record"]}</th><td>{one["event"]}</td>' in page
     assert json.loads((tmp_path / "out" / "ida.json").read_text()) == numbers
     levels = np.sort([one["capacity"] for one in numbers["records"]])
     curve = norm.cdf(np.log(levels / numbers["median"]) / numbers["dispersion"])

@@ -24,6 +24,9 @@ CAPACITIES = (0.025, 0.10, 0.50)
 NO_RATES = "the hazard has no curve of annual rates"
 """Why there is no risk, which the hazard's assumptions say too."""
 
+_NEAR = 0.05
+"""Largest difference of a lognormal curve that is shown beside the curve."""
+
 WITHOUT_INTERVAL = "the classifier's number, without an interval"
 
 
@@ -57,6 +60,11 @@ class BoundaryFragility:
     def lognormal(self) -> Lognormal | None:
         """The lognormal curve beside the curve."""
         return fit_lognormal(self.curve)
+
+    @property
+    def is_lognormal(self) -> bool:
+        """Whether the lognormal curve is so near that it describes the curve."""
+        return self.lognormal is not None and self.lognormal.largest_misfit <= _NEAR
 
 
 @dataclass(frozen=True, eq=False)

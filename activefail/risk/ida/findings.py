@@ -113,6 +113,11 @@ class IdaFindings:
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
+        return titled(self.rows, 11) + [f"note: {note}" for note in self.notes]
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Titles and texts."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.capacities.capacity), self.records
         worse = "" if self.is_of_worst else ", or a worse outcome"
@@ -150,7 +155,7 @@ class IdaFindings:
                 least = self.options.acceptable(share)
                 text = f"{least:.3g} for β = {dispersion:.3g}: {_verdict(self.acmr, ends, least)}"
                 rows.append((f"ACMR{100 * share:g}%", text))
-        return titled(rows, 11) + [f"note: {note}" for note in self.notes]
+        return rows
 
     @property
     def notes(self) -> list[str]:

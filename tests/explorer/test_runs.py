@@ -1,0 +1,204 @@
+"""The page of all campaigns: what it says of each run folder, that it follows them, and that it opens each."""
+
+import shutil
+import threading
+from pathlib import Path
+
+import pytest
+from campaign.stub import Disc, disc
+from explorer.conftest import Visitor, site_of, there
+from explorer.test_server import ask, request
+from patience import until
+from report.browser import NO_BROWSER, console_errors, fresh
+from report.test_report import ran
+
+from activefail.campaign.on_disk import create_folder
+from activefail.execution.local import ThreadExecutor
+from activefail.explorer import runs as all_runs
+from activefail.explorer.answers import Answers
+from activefail.explorer.runs import Runs, run_folders
+from activefail.explorer.server import ExplorerServer
+from activefail.findings.results import findings_of
+from activefail.findings.status import read_status
+from activefail.loop.learning import current
+from activefail.loop.running import run
+from activefail.record.run_folder import FolderStore
+from activefail.surrogate.threads import one_thread
+
+NAME = "a <b> & 100 %"
+"""Of a run folder; its address needs escapes."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a finished campaign, a stopped one, and folders that no version or only a former one reads."""
+    folder = tmp_path_factory.mktemp("all")
+    ran(folder / NAME, disc(extra="validation.size = 100"))
+    with ThreadExecutor(1) as executor, create_folder(folder / "stopped", disc()) as store:
+        run(disc(), store, executor, 16)
+    shutil.copytree(folder / NAME, folder / "damaged")
+    journal = folder / "damaged" / "journal"
+    data = bytearray(journal.read_bytes())
+    data[len(data) // 2] ^= 255
+    journal.write_bytes(data)
+    (folder / "old" / "segments").mkdir(parents=True)
+    (folder / "notes").mkdir()
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "all"))
+
+
+def site_below(folder: Path):
+    """The site of a campaign on the disc."""
+    campaign = disc()
+    with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
+        learned = current(campaign, store, write=False)
+        return site_of(Answers(findings_of(folder, campaign, store, learned.classifier)), home="../../")
+
+
+@pytest.fixture
+def runs(folder: Path):
+    site = Runs(folder, site_below)
+    yield site
+    site.close()
+
+
+def rows(runs: Runs) -> dict[str, dict]:
+    """What the table shows, by folder."""
+    runs.page("/")
+    return {path.name: all_runs._row(path, read, 28) for path, read in runs._reads.items()}
+
+
+def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, folder):
+    shown = rows(runs)
+    assert {name: row["state"] for name, row in shown.items()} == {
+        NAME: "finished",
+        "stopped": "stopped",
+        "damaged": "unreadable",
+        "old": "unreadable",
+    }
+    assert "and others follow it. Nothing was changed" in shown["damaged"]["fault"]
+    assert "was written by activefail 0.1" in shown["old"]["fault"]
+    assert (shown["stopped"]["done"], shown["stopped"]["budget"]) == (16, 28)
+    summary = read_status(folder / NAME).summary
+    assert dict(shown[NAME]["counts"]) == dict(zip(summary.outcomes, summary.counts.tolist(), strict=False))
+    assert shown[NAME]["answer"][0] == "error on 100 validation designs, 95 % interval"
+    assert len(shown[NAME]["curve"].line.split()) == len(read_status(folder / NAME).curve) > 1
+    text = runs.page("/")
+    assert "a &lt;b&gt; &amp; 100 %" in text
+    assert 'href="run/a%20%3Cb%3E%20%26%20100%20%25/"' in text
+    assert text.count("<svg") == 1
+    assert run_folders(folder / NAME) == []
+    assert "notes" not in shown
+
+
+def test_new_simulations_and_new_run_folders_appear_and_an_unchanged_folder_is_not_read_again(
+    runs, folder, monkeypatch
+):
+    monkeypatch.setattr(all_runs, "_SHARE", 1e9)
+    question = runs.question("/api/runs")
+    assert question is not None
+    first = question.answer(known=None)
+    assert question.answer(known=first["digest"])["html"] is None
+    read = []
+    monkeypatch.setattr(all_runs, "read_status", lambda path: read.append(path.name) or read_status(path))
+    campaign = disc()
+    with (
+        ThreadExecutor(1) as executor,
+        FolderStore.open(folder / "stopped", campaign.schema, write=True) as store,
+    ):
+        run(campaign, store, executor, 20)
+        assert rows(runs)["stopped"]["state"] == "running"
+        assert rows(runs)["stopped"]["done"] == 20
+    assert rows(runs)["stopped"]["state"] == "stopped"
+    create_folder(folder / "new", disc(Disc(blind=0.0))).close()
+    news = question.answer(known=first["digest"])
+    assert ">new<" in news["html"]
+    assert "0 of 28" in news["html"]
+    shutil.rmtree(folder / "new")
+    assert "new" not in rows(runs)
+    assert set(read) == {"stopped", "new"}
+
+
+def test_a_folder_that_takes_long_to_read_is_read_for_a_share_of_the_time(runs, folder, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(all_runs.time, "monotonic", lambda: clock[0])
+    read = []
+
+    def slow(path: Path):
+        read.append(path.name)
+        clock[0] += 1.0
+        return read_status(path)
+
+    monkeypatch.setattr(all_runs, "read_status", slow)
+    runs.page("/")
+    assert read.count("stopped") == 1
+    (folder / "stopped" / "journal").touch()
+    runs.page("/")
+    assert read.count("stopped") == 1
+    clock[0] += 10.0
+    runs.page("/")
+    assert read.count("stopped") == 2
+
+
+def test_a_campaign_is_opened_once_and_again_when_its_record_has_changed(folder):
+    opened = []
+
+    def open_site(path: Path):
+        opened.append(path.name)
+        return site_below(path)
+
+    with ExplorerServer("127.0.0.1", 0, Runs(folder, open_site)) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        address = "/run/a%20%3Cb%3E%20%26%20100%20%25/"
+        assert request(server, path=f"{address}explorer.css").status == 200
+        assert opened == []
+        shown = request(server, path=address)
+        assert shown.status == 200
+        assert "This design" in shown.text
+        assert ask(server, "../run/a%20%3Cb%3E%20%26%20100%20%25/api/predict", {"point": [0.0, 30.0]}).status == 404
+        for path in ("/run/nothing/", "/run/../", "/run/%2e%2e/", "/run/notes/", "/run/old", "/design"):
+            assert request(server, path=path).status == 404
+        assert request(server, path=address).status == 200
+        assert opened == [NAME]
+        (folder / NAME / "journal").touch()
+        assert request(server, path=address).status == 200
+        assert opened == [NAME, NAME]
+        refused = request(server, path="/run/damaged/")
+        assert refused.status == 409
+        assert "others follow it" in refused.text
+        assert refused.headers["Content-Type"].startswith("text/html")
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_page_follows_the_campaigns_and_leads_to_each(folder, driver, width):
+    with ExplorerServer("127.0.0.1", 0, Runs(folder, site_below), needs_token=True) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        fresh(driver, max(width, 500), 900)
+        size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        driver.get(server.address)
+        visitor = Visitor(driver)
+        assert there(visitor, ".fault", "was written by activefail 0.1")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        create_folder(folder / "new", disc()).close()
+        visitor.driver.execute_script("document.querySelector('a').focus()")
+        create_folder(folder / "newer", disc()).close()
+        until(lambda: there(visitor, "th", "newer"), "the new run folders")
+        assert visitor.driver.execute_script("return document.activeElement.textContent") == NAME
+        visitor.driver.execute_script("document.activeElement.click()")
+        until(lambda: driver.find_elements("css selector", "#plane svg"), "the campaign's page")
+        visitor.one("nav a").click()
+        until(lambda: driver.find_elements("css selector", ".runs"), "the page of all campaigns")
+        assert console_errors(driver) == []
+        driver.get("about:blank")
+        server.shutdown()
+        thread.join()
