@@ -2,7 +2,7 @@
 
 One elastic-plastic storey on a friction pendulum with a rim, without degradation, P-Delta or uplift: two degrees of
 freedom, in numba. It has the effective mass of the frame's first mode and the fixed quantities of the campaign file. A
-run takes about 0.1 ms, and the features of a question about one design are those of 44 records.
+run takes less than 0.1 ms. The feature is the record's PGV over that at which the coarse model collapses under it.
 """
 
 import math
@@ -11,8 +11,11 @@ import numpy as np
 from frame_model import MOBILISED, G, strong_part
 from numba import njit
 
-STEP, PAD = 0.005, 2.0
+STEP, PAD = 0.01, 2.0
 """Longest step, and time after the strong part of the record [s]."""
+
+RANGE, BISECTIONS = (0.3, 6.0), 5
+"""PGV between which the capacity is sought [m/s]."""
 
 AT_RIM = 0.5
 """Index of collapse of a bearing that just meets the rim."""
@@ -80,28 +83,44 @@ def index_of(displacement, rim, drift):
     return max(AT_RIM * displacement if rim == 0.0 else AT_RIM + (1.0 - AT_RIM) * rim, drift)
 
 
+@njit(error_model="numpy")
+def capacity(a, dt, unit, T_b, mu, D_tot, Cy, fixed):
+    """PGV at which the coarse model collapses under a record [m/s]; `unit` scales the record to a PGV of 1 m/s.
+
+    Bisection on the logarithm between `RANGE`, and interpolation of the logarithm of the index in the last interval.
+    """
+    low, high = math.log(RANGE[0]), math.log(RANGE[1])
+    below = above = 0.0  # logarithm of the index at both ends, 0 where it is not known
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        index = math.log(index_of(*respond(a, dt, unit * math.exp(middle), T_b, mu, D_tot, Cy, fixed)))
+        if index >= 0.0:
+            high, above = middle, index
+        else:
+            low, below = middle, index
+    share = below / (below - above) if below < 0.0 < above else 0.5
+    return math.exp(low + share * (high - low))
+
+
 @njit(error_model="numpy", nogil=True)
-def respond_all(flat, start, dt, which, factor, X, fixed, out):
-    """`respond` for rows of designs, (n, 5), into (n, 3); records are `flat[start[k] : start[k + 1]]`."""
+def capacities(flat, start, dt, unit, which, X, fixed, out):
+    """`capacity` for rows of designs, (n, 5), into (n,); records are `flat[start[k] : start[k + 1]]`."""
     for row in range(len(X)):
         k = which[row]
         a = flat[start[k] : start[k + 1]]
-        out[row] = respond(a, dt[k], factor[row], X[row, 0], X[row, 1], X[row, 2], X[row, 3], fixed)
+        out[row] = capacity(a, dt[k], unit[k], X[row, 0], X[row, 1], X[row, 2], X[row, 3], fixed)
 
 
 def features(X, space):
-    """Of designs, (n, d) -> (n, 9): the design, and the logarithms of the coarse model's peaks and index."""
+    """Of designs, (n, d) -> (n, 6): the design, and the logarithm of its PGV over the coarse model's capacity."""
     records, which = space.objects(X, "record")
     motions = [one.motion for one in records]
     strong = [strong_part(np.asarray(motion.acceleration)) for motion in motions]
     start = np.cumsum([0, *map(len, strong)])
+    dt, unit = (np.array([getattr(one, name) for one in motions]) for name in ("dt", "peak_velocity"))
     designs = space.table(X, OF_DESIGN)
-    factor = designs[:, 4] / np.array([motion.peak_velocity for motion in motions])[which]
     fixed = tuple(space.table(X[:1], QUANTITIES)[0].tolist())
-    out = np.empty((len(X), 3))
-    dt = np.array([motion.dt for motion in motions])
-    respond_all(np.concatenate(strong), start, dt, np.asarray(which), factor, designs, fixed, out)
-    displacement, rim, drift = out.T
-    index = np.array([index_of(*row) for row in out.tolist()])
-    peaks = [np.log(displacement), np.log1p(rim), np.log(drift), np.log(index)]
-    return np.column_stack([designs[:, :4], np.log(designs[:, 4]), *peaks])
+    out = np.empty(len(X))
+    capacities(np.concatenate(strong), start, dt, 1.0 / unit, np.asarray(which), designs, fixed, out)
+    pgv = np.log(designs[:, 4])
+    return np.column_stack([designs[:, :4], pgv, pgv - np.log(out)])

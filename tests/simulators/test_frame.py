@@ -125,6 +125,16 @@ def test_the_coarse_model_collapses_by_rim_or_by_drift() -> None:
     assert coarse(weak, pulse(12.0))[2] > 1.0
 
 
+def test_the_coarse_model_collapses_at_its_capacity() -> None:
+    features, _ = load_function("frame_coarse:features", CAMPAIGNS, "test")
+    module = sys.modules[features.__module__]
+    fixed = tuple(FIXED[name] for name in module.QUANTITIES)
+    of_design = [DESIGN[name] for name in ("T_b", "mu", "D_tot", "Cy")]
+    capacity = module.capacity(np.array(pulse(2.0)), DT, 1.0, *of_design, fixed)  # in multiples of this motion
+    assert max(coarse(DESIGN, pulse(2.0 * 0.97 * capacity))[1:]) < 1.0
+    assert max(coarse(DESIGN, pulse(2.0 * 1.03 * capacity))[1:]) > 1.0
+
+
 def records_in(folder: Path) -> None:
     """Three records in two events, as a set."""
     (folder / "records").mkdir()
@@ -154,14 +164,16 @@ def test_the_features_are_those_of_the_design_and_its_scaled_record(tmp_path: Pa
     with create_run(tmp_path / "run", campaign_in(tmp_path)) as run:
         X = run.space.sobol(64, np.random.default_rng(1))
         features = run.features(X)
-        assert features.shape == (64, 9)
+        assert features.shape == (64, 6)
         assert np.isfinite(features).all()
         assert np.array_equal(features[5:9], run.features(X[5:9]))
-        # A stronger motion, everything else equal, brings the coarse model nearer to collapse.
+        # The last is the logarithm of the PGV over a capacity that does not depend on it.
         weaker, stronger = X.copy(), X.copy()
         weaker[:, -1], stronger[:, -1] = 0.6, 3.2
         assert run.space.names[-1] == "PGV"
-        assert np.all(run.features(stronger)[:, -1] > run.features(weaker)[:, -1])
+        further = run.features(stronger)[:, -2:] - run.features(weaker)[:, -2:]
+        spread = run.campaign.features.scaling[1][-2:]
+        assert further * spread == pytest.approx(math.log(3.2 / 0.6))
 
 
 def test_the_template_needs_no_value_of_the_level_to_which_its_record_is_scaled(tmp_path: Path) -> None:
