@@ -1,13 +1,15 @@
 """A simulator that does not repeat: the surface P(failure | design), and intervals of the probability.
 
     python studies/noise.py --seeds 20
+    python studies/noise.py --stop --learns g --case half,rare
     python studies/noise.py --intervals 200
 
 The margin is 1 - x - y + N(0, 0.15) over the unit square, or 1.7 - x - y ("rare"), and failure where it is at most 0. A
 campaign simulates 160 designs. The table gives the mean absolute error of P(failure | design) over the square, that of
-BoTorch's SingleTaskGP of the same margins, the probability of failure, by the classifier and from 200 fresh
-simulations, and how often the 90 % interval of these holds the truth. With --intervals it is how often intervals
-hold it by classifiers that are wrong.
+BoTorch's SingleTaskGP of the same margins or SingleTaskVariationalGP of the same outcomes, the probability of failure,
+by the classifier and from 200 fresh simulations, and how often the 90 % interval of these holds the truth. With --stop
+a campaign has the stop rule of a probability, and ends before 160 where it knows it; the last columns say when. With
+--intervals it is how often intervals hold it by classifiers that are wrong.
 """
 
 import itertools
@@ -17,10 +19,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from botorch.fit import fit_gpytorch_mll
-from botorch.models import SingleTaskGP
-from gpytorch.mlls import ExactMarginalLogLikelihood
+from botorch.models import SingleTaskGP, SingleTaskVariationalGP
+from gpytorch.likelihoods import BernoulliLikelihood
+from gpytorch.mlls import ExactMarginalLogLikelihood, VariationalELBO
 from scipy.special import ndtr
-from study import Rows, asked, head, in_memory, line, parallel
+from study import Rows, asked, head, in_memory, line, parallel, spread
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, checked
@@ -53,16 +56,16 @@ class HalfPlane:
         return Results((g <= 0.0).astype(np.int8), zero.astype(np.int8), g[:, None], zero)
 
 
-def measured(case, learns, criterion, initial, seed):
+def measured(case, learns, criterion, initial, seed, stop):
     torch.set_num_threads(1)
     settings = {
         "seed": seed,
         "simulator": {"python": "noise:g", "margins": ["g"], "repeatable": False},
         "space": {name: {"low": 0.0, "high": 1.0} for name in "xy"},
-        "sampling": {"initial": initial, "budget": BUDGET},
+        "sampling": {"initial": initial, "budget": BUDGET, "batch": 10},
         "classifier": {"learns": learns},
         "acquisition": {"criterion": criterion},
-    }
+    } | ({"stop": {"probability": "failure"}} if stop else {})
     offset = OFFSETS[case]
     campaign = Campaign.of(checked(CampaignSettings, settings, "study"), simulator=HalfPlane(offset, [seed, 1]))
     learned = in_memory(campaign)
@@ -79,33 +82,42 @@ def measured(case, learns, criterion, initial, seed):
         "initial": initial,
         "seed": seed,
         "error": np.abs(of_classifier - surface).mean(),
-        "by_botorch": np.abs(by_botorch(learned.history) - surface).mean(),
+        "by_botorch": np.abs(by_botorch(learned.history, learns) - surface).mean(),
         "truth": surface.mean(),
         "by_classifier": mean,
         "estimate": [estimate.low, estimate.probability, estimate.high],
+        "simulations": len(learned.history),
+        "ended": learned.looks.is_known,
     }
 
 
-def by_botorch(history):
-    """P(failure) on the grid by a SingleTaskGP of the margins."""
-    X, g = (torch.from_numpy(array) for array in (history.designs, history.margins))
+def by_botorch(history, learns):
+    """P(failure) on the grid: by a SingleTaskGP of the margins, or a SingleTaskVariationalGP of the outcomes."""
+    X, grid = torch.from_numpy(history.designs), torch.from_numpy(GRID)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        model = SingleTaskGP(X, g)
+        if learns == "outcomes":
+            y = torch.from_numpy(history.outcome.astype(float))
+            model = SingleTaskVariationalGP(X, y[:, None], likelihood=BernoulliLikelihood(), inducing_points=len(X))
+            model.double()
+            fit_gpytorch_mll(VariationalELBO(model.likelihood, model.model, num_data=len(X)))
+            with torch.no_grad():
+                return model.likelihood(model.model.eval()(grid)).mean.numpy()
+        model = SingleTaskGP(X, torch.from_numpy(history.margins))
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
     with torch.no_grad():
-        next_one = model.posterior(torch.from_numpy(GRID), observation_noise=True)
+        next_one = model.posterior(grid, observation_noise=True)
     return ndtr((-next_one.mean / next_one.variance.sqrt()).detach().numpy()[:, 0])
 
 
-def coverage(case, shift, spread, repeats):
+def coverage(case, shift, ratio, repeats):
     """How often 90 % intervals hold the truth, by a classifier that is wrong: importance sampling, and strata."""
     space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xy"))
     offset = OFFSETS[case]
     truth = ndtr((GRID.sum(axis=1) - offset) / NOISE).mean()
 
     def probit(X):
-        return (X.sum(axis=1) - offset - shift) / (spread * NOISE)
+        return (X.sum(axis=1) - offset - shift) / (ratio * NOISE)
 
     of_classifier, held = baseline(probit, space), []
     for seed in range(repeats):
@@ -122,6 +134,7 @@ def main():
     options = asked(
         __doc__,
         intervals=0,
+        stop=False,
         seeds=20,
         case=list(OFFSETS),
         learns=["outcomes", "g"],
@@ -132,24 +145,36 @@ def main():
     )
     if options.intervals:
         head("case", "classifier's shift", "its noise / true noise", "importance sampling covers", "strata cover")
-        for case, shift, spread in itertools.product(options.case, (0.0, 0.05), (0.5, 1.0, 2.0)):
-            line(case, shift, spread, *(f"{held:.3f}" for held in coverage(case, shift, spread, options.intervals)))
+        for case, shift, ratio in itertools.product(options.case, (0.0, 0.05), (0.5, 1.0, 2.0)):
+            line(case, shift, ratio, *(f"{held:.3f}" for held in coverage(case, shift, ratio, options.intervals)))
         return
-    rows = Rows(options.file)
+    rows = Rows(options.file, stop=options.stop)
     names = "case", "learns", "criterion", "initial"
     terms = list(itertools.product(*(getattr(options, name) for name in names)))
     cases = [(*term, seed) for seed in range(options.seeds) for term in terms]
     cases = [case for case in cases if rows.lack(**dict(zip((*names, "seed"), case, strict=True)))]
-    for row in parallel(measured, cases, options.processes):
+    for row in parallel(measured, [(*case, options.stop) for case in cases], options.processes):
         rows.add(**row)
-    head(*names, "error of P", "BoTorch", "truth", "by the classifier", "estimate", "interval covers", "width")
+    head(
+        *names,
+        "error of P",
+        "BoTorch",
+        "truth",
+        "by the classifier",
+        "estimate",
+        "interval covers",
+        "width",
+        "simulations",
+        "ended",
+    )
     for term in terms:
         of = rows.of(**dict(zip(names, term, strict=True)))
         numbers = ("error", "by_botorch", "truth", "by_classifier")
         means = [f"{np.mean([row[name] for row in of]):.4f}" for name in numbers]
         low, middle, high = np.array([row["estimate"] for row in of]).T
         covered = (low <= of[0]["truth"]) & (of[0]["truth"] <= high)
-        line(*term, *means, f"{middle.mean():.4f}", f"{covered.mean():.2f}", f"{np.median(high - low):.4f}")
+        ends = spread([row["simulations"] for row in of], 0), f"{sum(row['ended'] for row in of)}/{len(of)}"
+        line(*term, *means, f"{middle.mean():.4f}", f"{covered.mean():.2f}", f"{np.median(high - low):.4f}", *ends)
 
 
 if __name__ == "__main__":
