@@ -16,7 +16,6 @@ from scipy.stats import beta
 from activefail.cli.analyses import site_of
 from activefail.errors import InputError
 from activefail.findings.estimates import rounded_up, upper_bound
-from activefail.findings.failure import FailureFindings
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
