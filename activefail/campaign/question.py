@@ -86,7 +86,7 @@ class Question:
             for one in self.space.parameters
             if one.groups is not None and not of_values
         ]
-        if self.space.constraints:
+        if self.space.constraints and self.space.feasible_share < 1.0:
             share = feasible_share(self.space)
             notes.append(f"Only designs that meet the constraints count, {share} of the variables' distribution.")
         return (*self.stated, *notes)

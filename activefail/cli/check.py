@@ -51,6 +51,8 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     for one in space.parameters:
         if one.choices:
             yield "variable", f"{one.label}: {choices_with_shares(one)}"
+            for name, numbers in one.features:
+                yield "feature", f"{name} = {', '.join(f'{number:g}' for number in numbers)}"
             if isinstance(one.payload, Motions):
                 yield from (("note", note) for note in one.payload.found.notes)
             continue
