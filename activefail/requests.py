@@ -302,7 +302,6 @@ class DesignRequest(Request["DesignFindings | DesignByStripes"]):
     cost: str = option(
         "",
         "Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default.",
-        bars="wrong",
     )
     confidence: float = confidence(0.95, "that the target is met")
     simulations: int = option(

@@ -386,7 +386,6 @@ def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ..
         ("probability", "--wrong 0.01 --simulations 50", "simulations: cannot be combined with wrong."),
         ("probability", "--at-once 3", "at_once: requires wrong."),
         ("design", "--target 0.1 --wrong 0.01 --simulations 200", "simulations: cannot be combined with wrong."),
-        ("design", "--target 0.1 --wrong 0.01 --cost 2*x", "cost: cannot be combined with wrong."),
         ("design", "--target 0.1 --wrong 0.01 --chart --out OUT", "chart: cannot be combined with wrong."),
         ("design", "--target 0.1 --chart", "--chart: requires --out."),
         ("design", "--target 0.1 --at-once 2", "at_once: requires wrong."),
