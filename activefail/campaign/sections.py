@@ -589,9 +589,11 @@ class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: simulations of the initial design, a Latin hypercube.
+        initial: simulations of the initial design, a Latin hypercube; with `stop.probability` and a custom simulator twice
+            the number of variables by default, at least 12.
         budget: all simulations.
-        batch: designs in a batch; in an asynchronous campaign, in flight at a time.
+        batch: designs in a batch, which use as many cores; in an asynchronous campaign, in flight at a time. With
+            `stop.probability` and a custom simulator 1 by default.
         asynchronous: whether the campaign learns from each result as soon as it arrives.
         reach: probability outside the bounds of variables whose bounds the file leaves out. No design is proposed
             there.
@@ -727,7 +729,8 @@ class ClassifierSettings(Section):
     """Features of the classifier, the smoothness of its boundaries, and what these are learned from.
 
     Attributes:
-        features: what the classifier sees of a design.
+        features: what the classifier sees of a design; "design" by default with a custom simulator, "decorrelated" if
+            variables are strongly correlated.
         kernel: covariance of the latents: squared exponential or Matérn-5/2, or a function of the number of features
             that returns a GPyTorch kernel.
         likelihood: a GPyTorch likelihood of labels 0 and 1; the probit likelihood by default.
@@ -775,7 +778,8 @@ class AcquisitionSettings(Section):
 
     Attributes:
         criterion: what ranks the candidates: a name, or a function of a BoTorch model that returns an acquisition
-            function over scaled features.
+            function over scaled features. With a custom simulator "eavc" by default with `stop.probability`, else "bald"
+            with noise.
         boundary: outcome of the target boundary, which is that of this outcome or a worse one, or weights by outcome.
             With a custom simulator the most severe outcome by default.
         exploration: share of the proposed designs that are drawn from the whole space instead.
