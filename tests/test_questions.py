@@ -201,7 +201,7 @@ def test_the_ranges_that_a_campaign_should_be_widened_to_hold_99_percent_of_the_
     assert outside.ranges.keys() == {"z"}
     # Rounded outwards to two digits.
     assert outside.ranges["z"] == pytest.approx((min(low, -2.0), max(high, 2.0)), abs=0.021)
-    assert "Widen the campaign first, because 50.0 % of" in outside.advice
+    assert "50.0 % of the question's distribution lies outside the campaign's" in outside.advice
     assert (
         question(tmp_path, f"[space]\nz = {{ low = {low}, high = {high + 0.05 * (high - low)} }}\n")
         .outside(space)

@@ -252,13 +252,13 @@ class Outside:
             elif high > parameter.high:
                 parts.append(f"{parameter.name} up to {high:g}{unit}")
         text = (
-            f"Widen the campaign first, because {percent(self.share)} of the question's distribution lies outside its "
-            "design space, where the classifier extrapolates"
+            f"{percent(self.share)} of the question's distribution lies outside the campaign's design space, where the "
+            "classifier extrapolates"
         )
         if not parts:
-            return f"{text}, by a little of many variables."
+            return f"{text}. Widen it by a little of many variables."
         ranges = f"{' and '.join(parts)} would hold {100.0 * _HELD:g} %"
-        return visible(f"{text}: {ranges}" + (" each." if len(parts) > 1 else " of it."))
+        return visible(f"{text}. Widen it: {ranges}" + (" each." if len(parts) > 1 else " of it."))
 
 
 def _outwards(value: float, side: float) -> float:

@@ -589,8 +589,8 @@ class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: simulations of the initial design, a Latin hypercube; with `stop.probability` and a custom simulator twice
-            the number of variables by default, at least 12.
+        initial: simulations of the initial design, a Latin hypercube. With `stop.probability` and a custom simulator
+            the default is twice the number of variables, at least 12.
         budget: all simulations.
         batch: designs in a batch, which use as many cores; in an asynchronous campaign, in flight at a time. With
             `stop.probability` and a custom simulator 1 by default.
@@ -778,8 +778,8 @@ class AcquisitionSettings(Section):
 
     Attributes:
         criterion: what ranks the candidates: a name, or a function of a BoTorch model that returns an acquisition
-            function over scaled features. With a custom simulator "eavc" by default with `stop.probability`, else "bald"
-            with noise.
+            function over scaled features. With a custom simulator the default is "eavc" with `stop.probability`, and
+            "bald" with noise.
         boundary: outcome of the target boundary, which is that of this outcome or a worse one, or weights by outcome.
             With a custom simulator the most severe outcome by default.
         exploration: share of the proposed designs that are drawn from the whole space instead.

@@ -234,6 +234,16 @@ class DesignFindings:
                 )
 
     @property
+    def widening(self) -> str:
+        """Which ranges the campaign lacks, and what that means for the design; empty if it lacks few pulses."""
+        if not self.outside.advice:
+            return ""
+        means = (
+            "Fresh simulations are drawn there, so a verified design stands; a wider campaign may find a smaller one."
+        )
+        return f"{self.outside.advice} {means}"
+
+    @property
     def _ending(self) -> str:
         """Why no smaller design was looked at, or what became of it, in one sentence."""
         designed, task = self.designed, self.designed.task
@@ -346,7 +356,7 @@ class DesignFindings:
         events = [f"P({visible(or_worse(one.outcome, outcomes))})" for one in task.requirements]
         fixed, space = designed.question.fixed, self.campaign.space
         certain = {name: fixed[name] for name in space.names if name in fixed}
-        rows = [("widen", self.outside.advice)] if self.outside.advice else []
+        rows = [("widen", self.widening)] if self.widening else []
         rows += [("design", self._shown(certain, with_units=True)), ("result", self.verdict)]
         title = "verified" if designed.status == "verified" else "estimate"
         parts = zip(events, task.requirements, result.estimates, result.candidate.model, strict=True)
