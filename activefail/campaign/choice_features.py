@@ -25,7 +25,7 @@ def with_features(settings: CampaignSettings, folder: Path | None) -> CampaignSe
         assert isinstance(entry, Variable)
         with naming(f"space.{name}.features: "):
             numbers = _numbers(name, entry, path_beside(folder or Path.cwd(), file, "campaign file"))
-        settings = settings.changed({f"space.{name}.features": numbers}, file)
+        settings = settings.changed({f"space.{name}.features": numbers}, f"with {file}")
     return settings
 
 
