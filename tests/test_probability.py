@@ -206,14 +206,14 @@ def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_
     assert "estimate   probability 0.00" in result.out
     assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
     numbers = read_status(tmp_path / "run").estimates["failure"]
-    second = activefail("status", tmp_path / "run").out.splitlines()[1]
+    third = activefail("status", tmp_path / "run").out.splitlines()[2]
     probability = alike(numbers["probability"])[0]
-    assert second.startswith(f"estimate   probability of failure {probability}, 90 % interval ")
-    assert "from 20 fresh simulations; recall at least " in second
-    assert "contradict" not in second
+    assert third.startswith(f"estimate   probability of failure {probability}, 90 % interval ")
+    assert "from 20 fresh simulations; recall at least " in third
+    assert "contradict" not in third
     remembered(tmp_path / "run", {**numbers, "contradictions_where_sure": 2})
-    second = activefail("status", tmp_path / "run").out.splitlines()[1]
-    assert second.endswith("; fresh simulations contradict the classifier where it was sure: continue the campaign")
+    third = activefail("status", tmp_path / "run").out.splitlines()[2]
+    assert third.endswith("; fresh simulations contradict the classifier where it was sure: continue the campaign")
 
 
 def remembered(folder: Path, estimate: Any) -> None:

@@ -164,7 +164,9 @@ class Answers:
         apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
         X = X[apart <= max(_OPEN, float(apart.min()))]
         away = np.linalg.norm(self.space.to_unit(X) - 0.5, axis=1)
-        return np.asarray(X[np.argmin(away)])
+        # Few digits: the page shows them.
+        rounded = [float(f"{value:.4g}") for value in X[np.argmin(away)].tolist()]
+        return np.asarray(self.space.nearest(np.clip([rounded], self.space.low, self.space.high))[0])
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""

@@ -68,7 +68,7 @@ class Status:
 
     @property
     def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts, the campaign's description first, then what is known of a probability."""
+        """Titles and texts: the campaign, its state, what is known of an error or a probability, and all else."""
         campaign = visible(self.summary.settings.description or self.folder.name)
         lines = [(title, self._learner if title == "learner" else text) for title, text in self.summary.lines]
         state = self.state + ": a process has the folder open for writing" * self.is_running

@@ -126,7 +126,9 @@ def test_the_page_names_every_variable_and_shows_a_hostile_name_as_text(answers)
 def test_the_page_starts_at_a_design_whose_outcome_is_open(answers, findings):
     start, middle = (answers.about()["presets"][place]["point"] for place in (0, -1))
     beyond = predict(findings.campaign, findings.classifier, np.array([start, middle])).beyond
-    assert abs(beyond[0] - 0.5) <= 0.1
+    # 0.1, and what four digits of a variable change.
+    assert abs(beyond[0] - 0.5) <= 0.102
+    assert all(value == float(f"{value:.4g}") for value in start)
     assert abs(beyond[0] - 0.5) < abs(beyond[1] - 0.5)
 
 
