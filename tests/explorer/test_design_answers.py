@@ -302,7 +302,9 @@ acquisition.boundary = "broken"
 space.D_tot = { low = 0.2, high = 1.0, unit = "m" }
 space.T_p = { low = 0.5, high = 5.0, unit = "s" }
 space.A_p = { low = 0.1, high = 0.8, unit = "g" }
+space.liner = { choices = ["A", "B"] }
 """
+"""With a variable that is none of a bearing, whose others are not added then."""
 
 
 def test_a_campaign_without_a_pulse_has_no_such_page_and_no_link_to_it(tmp_path):
@@ -320,7 +322,7 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
     assert 'id="verify"' not in text
     assert "The explorer simulates only activefail&#39;s own bearing model" in text
     site = {name: value for name, value in SITE.items() if name != "mu_lower"}
-    question = {"site": site, "bearing": {}, "target": 0.1}
+    question = {"site": site, "bearing": {"liner": 1.0}, "target": 0.1}
     with served(answers) as server:
         assert ask(server, "design", question).status == 200
         answer = ask(server, "verify", question)
@@ -330,10 +332,9 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
 
 def test_a_required_capacity_is_one_that_is_made_and_choices_are_a_list(tmp_path):
     made = SLIDING.replace("high = 1.0,", "high = 1.0, step = 0.1,")
-    made += 'space.liner = { choices = ["A", "B"] }\n'
     answers = answers_of(Campaign.of(parse_settings(made, "sliding"), simulator=Sliding()), tmp_path / "run")
     design = DesignAnswers(answers)
-    assert '<option value="1">B</option>' in page("design", design.about())
+    assert '<option value="1">B</option>' in page("design", about=design.about(), home="", has_design=True)
     site = {name: value for name, value in SITE.items() if name != "mu_lower"}
     P = required(design, {"site": site, "bearing": {"liner": 1.0}, "target": 0.5})["curve"]
     target = 0.5 * (min(P) + max(P))
