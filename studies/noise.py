@@ -136,6 +136,7 @@ def main():
         intervals=0,
         stop=False,
         seeds=20,
+        first_seed=0,
         case=list(OFFSETS),
         learns=["outcomes", "g"],
         criterion=["bald"],
@@ -151,7 +152,8 @@ def main():
     rows = Rows(options.file, stop=options.stop)
     names = "case", "learns", "criterion", "initial"
     terms = list(itertools.product(*(getattr(options, name) for name in names)))
-    cases = [(*term, seed) for seed in range(options.seeds) for term in terms]
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    cases = [(*term, seed) for seed in seeds for term in terms]
     cases = [case for case in cases if rows.lack(**dict(zip((*names, "seed"), case, strict=True)))]
     for row in parallel(measured, [(*case, options.stop) for case in cases], options.processes):
         rows.add(**row)
@@ -168,7 +170,7 @@ def main():
         "ended",
     )
     for term in terms:
-        of = rows.of(**dict(zip(names, term, strict=True)))
+        of = [row for row in rows.of(**dict(zip(names, term, strict=True))) if row["seed"] in seeds]
         numbers = ("error", "by_botorch", "truth", "by_classifier")
         means = [f"{np.mean([row[name] for row in of]):.4f}" for name in numbers]
         low, middle, high = np.array([row["estimate"] for row in of]).T
