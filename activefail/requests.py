@@ -13,7 +13,7 @@ from activefail.files import check_file, path_of, writing_to
 from activefail.names import INTENSITIES
 from activefail.progress import Stage, silent
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
-from activefail.request import REQUIRED, Option, Request, declared, function_of, option
+from activefail.request import REQUIRED, Option, Request, declared, function_of, option, options
 from activefail.surrogate.threads import one_thread
 
 if TYPE_CHECKING:
@@ -470,9 +470,10 @@ class IdaRequest(Request["IdaFindings"]):
         None, "Folder that keeps the simulations, so that the same analysis continues.", Path, with_out=True
     )
 
-    writes: ClassVar = False
     of_run: ClassVar = Option(
-        "Run folder of a campaign under pulses: with --pulses, its classifier predicts each level.",
+        "Run folder of a campaign under records: its simulator is used, its classifier says where each record begins, "
+        "and the simulations join its record. With --pulses: of a campaign under pulses, whose classifier predicts "
+        "each level.",
         Path,
         names=("--campaign",),
     )
@@ -495,24 +496,27 @@ class IdaRequest(Request["IdaFindings"]):
             values_under_records,
         )
 
-        if run is not None and not self.pulses:
-            raise InputError(
-                "--campaign requires --pulses: a campaign's classifier predicts outcomes under pulses, not under "
-                "records."
-            )
+        if by_campaign := run is not None and not self.pulses:
+            for one, of in options(type(self)):
+                if "simulator" in (one.name, of.bars) and of.is_given(getattr(self, one.name)):
+                    raise InputError(f"{one.name}: cannot be combined with --campaign without --pulses.")
         model, tolerance = self.model or Model(), self.tolerance or Tolerance()
         folder = None if self.folder is None else path_of("folder", self.folder)
         ground, records = Ground(), self.records
-        if self.simulator is not None:
+        if run is not None and by_campaign:
+            name, campaign = run.folder.name, run.campaign
+            run._check_initial_design()
+        elif self.simulator is not None:
             name, campaign = campaign_of(self.simulator)
+        if is_campaigns := by_campaign or self.simulator is not None:
             ground = Ground.of(campaign)
         measure = self.scale_to or ground.measure
         intensity = Intensity.of(measure) if isinstance(measure, str) else measure
-        if self.simulator is not None and intensity.name != Intensity.of(ground.measure).name:
-            raise InputError(f"--scale-to: must be {ground.measure} with this --simulator, got {self.scale_to!r}.")
+        if is_campaigns and intensity.name != Intensity.of(ground.measure).name:
+            raise InputError(f"--scale-to: must be {ground.measure} with this campaign, got {self.scale_to!r}.")
         if records is None:
             if ground.records is None:
-                raise InputError("--records: required, unless a campaign of --simulator has a variable with a `set`.")
+                raise InputError("--records: required, unless a campaign has a variable with a `set`.")
             records = ground.records
         if not isinstance(records, RecordSet):
             if folder is not None and folder.resolve() == Path(records).resolve():
@@ -520,11 +524,14 @@ class IdaRequest(Request["IdaFindings"]):
             records = read_record_set(records, self.unit, self.dt, self.vertical)
         about = (intensity, self.outcome, self.to, self.margin, self.pulses, run, folder, self.begin)
         try:
-            if self.simulator is None:
+            if not is_campaigns:
                 bearing = BearingSubject.of(self.bearing, model, tolerance, self.workers)
                 return analysis(bearing, records, *about)
             values = values_under_records(campaign, ground, self.bearing, records)
-            pool = self.executor or executor_named(campaign, self.workers, self.where, self.scheduler, self.stage)
+            if run is not None and by_campaign:
+                pool = self.executor or run._local_executor(self.workers)
+            else:
+                pool = self.executor or executor_named(campaign, self.workers, self.where, self.scheduler, self.stage)
             with nullcontext(self.executor) if self.executor else pool:
                 return analysis(CampaignSubject(name, campaign, ground, values, pool), records, *about)
         except KeyboardInterrupt:

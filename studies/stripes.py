@@ -3,6 +3,7 @@
     python studies/stripes.py --part questions --seeds 3
     python studies/stripes.py --part designs --seeds 3
     python studies/stripes.py --part curves --seeds 3
+    python studies/stripes.py --part ida --seeds 3
     python studies/stripes.py --part intervals --repetitions 30
     python studies/stripes.py --part halves --repetitions 300
 
@@ -15,6 +16,9 @@ result is right if it meets the target under all records, and the next smaller v
 `curves`: the same campaign; `fragility --wrong` against PGV of two bearings. The true median and dispersion are those
 of the 44 capacities, to 2 %.
 
+`ida`: the same campaign; an incremental dynamic analysis of two bearings that begins where the classifier predicts,
+beside one by the ladder.
+
 `intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
 population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each
 repetition is a campaign with three questions. The intervals are judged by the share of these values, and of the
@@ -26,8 +30,9 @@ half, which has a sampling error of its own.
 
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.special import ndtr
@@ -39,12 +44,16 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import asked_of
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.risk.design.by_stripes import STEPS, design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
 from activefail.risk.fragility.by_stripes import fragility_by_stripes
 from activefail.risk.fragility.levels import ladder_of
+from activefail.risk.ida.by_campaign import capacities_by_campaign
+from activefail.risk.ida.capacity import BISECTIONS, LEVELS, capacities
 from activefail.risk.ida.collapse import fit_lognormal
+from activefail.risk.ida.simulations import CampaignSubject, Ground
 from activefail.simulators.interface import Results
 from activefail.stripes.intervals import of_others
 from activefail.stripes.stripe import Stripes
@@ -215,10 +224,51 @@ def designs(options):
                     line(seed, T_b, mu, target, at, count, result.simulations, 44 * count, "yes" if right else "no")
 
 
-def curves(options):
-    """Runs, and errors of median and dispersion, of one curve after another."""
+@cache
+def exact_curve(T_b, mu, D_tot):
+    """The lognormal curve of a bearing from 44 records at levels 2 % apart."""
     low, high = RECORDS["PGV"]["low"], RECORDS["PGV"]["high"]
     levels = low * 1.02 ** np.arange(int(np.log(high / low) / np.log(1.02)) + 1)
+    X = np.array([[T_b, mu, D_tot, record, level] for level in levels for record in range(44)])
+    fails = bearing_fails(X).reshape(len(levels), 44)
+    first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(levels))
+    return fit_lognormal(np.append(0.0, levels)[first], np.append(levels, np.inf)[first])
+
+
+def capacity(options):
+    """Runs of incremental dynamic analyses that begin where the classifier predicts, and what they find."""
+    low, high = RECORDS["PGV"]["low"], RECORDS["PGV"]["high"]
+    head(
+        "seed", "T_b [s]", "mu", "D_tot [m]", "runs a record", "most", "by the ladder", "median capacity differs",
+        "largest", "median", "by the ladder", "dispersion", "by the ladder",
+    )  # fmt: skip
+    ground = Ground(records=read_record_set(Path("farfield"), None, None))
+    for seed in range(options.seeds):
+        of_records = {"python": "stripes:features", "variables": False}
+        found = learned_campaign(bearing_fails, RECORDS, of_records, options.runs, seed)
+        asked = SimpleNamespace(campaign=found.campaign, store=found.store, space=found.campaign.space)
+        for T_b, mu, D_tot in ((3.5, 0.06, 0.6), (4.5, 0.08, 0.7)):
+            with ThreadExecutor(1) as executor, one_thread():
+                asked.classifier = current(found.campaign, found.store, True).classifier
+                asked.history = History.of(found.store.batches)
+                values = {"T_b": T_b, "mu": mu, "D_tot": D_tot}
+                subject = CampaignSubject("study", found.campaign, ground, values, executor)
+                simulate = partial(subject.simulate, [], np.empty(0), lambda _: None)
+                rungs = np.geomspace(low, high, LEVELS)
+                few = capacities_by_campaign(subject, asked, simulate, 44, rungs, 1)
+                subject.keep = lambda *_: None
+                many = capacities(simulate, 44, rungs, BISECTIONS, 1)
+            both = np.isfinite(few.capacity) & np.isfinite(many.capacity)
+            differs = 100.0 * np.abs(few.capacity[both] / many.capacity[both] - 1.0)
+            runs = np.array([len(one) for one in few.levels])
+            fits = [fit_lognormal(one.below, one.capacity) for one in (few, many)]
+            medians, dispersions = ([f"{getattr(one, of):.3f}" for one in fits] for of in ("median", "dispersion"))
+            found_of = f"{np.median(differs):.1f} %", f"{differs.max():.0f} %", *medians, *dispersions
+            line(seed, T_b, mu, D_tot, f"{runs.mean():.1f}", runs.max(), f"{many.runs / 44:.1f}", *found_of)
+
+
+def curves(options):
+    """Runs, and errors of median and dispersion, of one curve after another."""
     head("seed", "T_b [s]", "mu", "D_tot [m]", "levels", "runs", "all records", "median", "true", "dispersion", "true")
     for seed in range(options.seeds):
         of_records = {"python": "stripes:features", "variables": False}
@@ -226,10 +276,7 @@ def curves(options):
         with ThreadExecutor(1) as executor, one_thread():
             asks = asking(found, executor)
             for T_b, mu, D_tot in ((3.5, 0.06, 0.6), (4.5, 0.08, 0.7)):
-                X = np.array([[T_b, mu, D_tot, record, level] for level in levels for record in range(44)])
-                fails = bearing_fails(X).reshape(len(levels), 44)
-                first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(levels))
-                exact = fit_lognormal(np.append(0.0, levels)[first], np.append(levels, np.inf)[first])
+                exact = exact_curve(T_b, mu, D_tot)
                 inquiry = Inquiry.of(found.campaign, fixed={"T_b": T_b, "mu": mu, "D_tot": D_tot})
                 ladder = ladder_of(inquiry, against="PGV")
                 curve = fragility_by_stripes(asks, inquiry.question, ladder, "failure", options.wrong[0], CONFIDENCE)
@@ -354,6 +401,11 @@ if __name__ == "__main__":
         wrong=[0.01],
         hidden=[0.0, 0.3, 0.8],
     )
-    {"questions": questions, "designs": designs, "curves": curves, "intervals": intervals, "halves": halves}[
-        options.part
-    ](options)
+    {
+        "questions": questions,
+        "designs": designs,
+        "curves": curves,
+        "ida": capacity,
+        "intervals": intervals,
+        "halves": halves,
+    }[options.part](options)

@@ -432,9 +432,24 @@ def test_an_incremental_dynamic_analysis_takes_the_records_of_the_campaign(
         activefail(*words, "--records", folder / "fewer", "--unit", "g", "--dt", "0.02"),
         "--records: must be those of the campaign, mine; leave them out",
     )
-    refused(activefail(*words, "--scale-to", "pga"), "--scale-to: must be pgv with this --simulator, got 'pga'")
+    refused(activefail(*words, "--scale-to", "pga"), "--scale-to: must be pgv with this campaign, got 'pga'")
     refused(activefail(*words, "--unit", "g"), "unit: requires records.")
-    refused(activefail("ida", "--bearing", folder / "values.toml"), "--records: required, unless a campaign of")
+    refused(activefail("ida", "--bearing", folder / "values.toml"), "--records: required, unless a campaign has")
+    # A campaign's classifier says where to begin, and the simulations join its record.
+    run = folder / "begun"
+    assert activefail("run", folder / "cheap.toml", "--out", run).code == 0
+    of_run = ("ida", "--campaign", run, "--code", folder, "--bearing", folder / "values.toml", "--json")
+    before = len(record(run))
+    few = json.loads(activefail(*of_run).out)
+    assert few["simulations"] < 0.5 * numbers["simulations"]
+    assert len(record(run)) - before <= few["simulations"]
+    assert [row["origin"] for row in record(run)[before:]] == ["given"] * (len(record(run)) - before)
+    for one, exact in zip(few["records"], numbers["records"], strict=True):
+        assert one["capacity"] == pytest.approx(exact["capacity"], rel=0.04)
+    after = len(record(run))
+    assert json.loads(activefail(*of_run).out)["records"] == few["records"]
+    assert len(record(run)) == after
+    refused(activefail(*of_run[:-1], "--simulator", folder / "cheap.toml"), "simulator: cannot be combined with")
     unscaled = cheap(PYTHON, (', scaled_to = { PGV = "pgv" }', ""))
     refused(activefail(*words[:2], unscaled, *words[3:]), "space.record.scaled_to names a variable")
 

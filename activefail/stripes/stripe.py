@@ -224,11 +224,11 @@ class Stripes:
                 rows = one.chosen
             self._simulate(stripe, np.array(rows))
 
-    def by_classifier(self, question: Question, outcome: str) -> float:
-        """The probability by the classifier alone, with what the record knows; nothing is simulated."""
+    def predicted(self, question: Question, outcome: str) -> Stripe:
+        """What the record and the classifier say; nothing is simulated."""
         values = FiniteValues.of(question)
         F, began = finite(self.campaign.features, values.X), len(History.of(self.store.batches))
-        return self._stripe(question, outcome, values, F, 1.0, (), began).probability
+        return self._stripe(question, outcome, values, F, 1.0, (), began)
 
     def _stripe(
         self,

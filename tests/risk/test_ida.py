@@ -24,11 +24,22 @@ from activefail.errors import InputError
 from activefail.intensity import Intensity, spectral_acceleration
 from activefail.json_text import json_text
 from activefail.risk.ida import simulations as module
-from activefail.risk.ida.capacity import Agreement, Answers, Capacities, Runs, capacities, ladder
+from activefail.risk.ida.capacity import (
+    BISECTIONS,
+    Agreement,
+    Answers,
+    Capacities,
+    Runs,
+    capacities,
+    capacities_near,
+    ladder,
+)
+from activefail.risk.ida.capacity import LEVELS as LADDER
 from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, Kept
+from activefail.simulators.interface import NUMERICAL_FAILURE
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 SUBJECT = BearingSubject(BEARING, Model(), Tolerance())
@@ -491,9 +502,38 @@ def test_a_campaign_that_does_not_fit_is_refused(case: Path, campaign: Path, tmp
     ) as run:
         run.add({"x": [0.1, 0.9], "outcome": ["safe", "failure"]})
     refused(activefail(*words, tmp_path / "other", "--pulses"), "--campaign: ", "must be a campaign under pulses")
-    refused(activefail(*words, campaign), "--campaign requires --pulses")
+    refused(activefail(*words, campaign), "must be a campaign under records, with a variable that has a `set`")
+    refused(activefail(*words, campaign, "--rim", "none"), "model: cannot be combined with --campaign without")
     other = activefail(*words, campaign, "--pulses", "--slider-diameter", "0.4")
     refused(other, "--campaign: its [bearing] settings differ from this command's options")
+
+
+def test_levels_begin_at_a_prediction_and_bracket_the_capacity() -> None:
+    """Whatever the prediction, and whatever is known; levels without an outcome are not simulated again."""
+    capacity, lost = np.array([0.8, 1.0, 3.0, 9.0, 0.01, 2.0, 2.0]), (5, 2.0)
+    asked: list[tuple[int, float]] = []
+
+    def simulate(runs: Runs) -> Answers:
+        asked.extend(runs)
+        outcome = [2 if level >= capacity[k] else 0 for k, level in runs]
+        outcome = [NUMERICAL_FAILURE if one == lost else value for one, value in zip(runs, outcome, strict=True)]
+        return Answers(np.array(outcome, dtype=np.int8), np.zeros(len(runs), dtype=bool))
+
+    none = np.empty(0), np.empty(0, dtype=np.int8)
+    known = [none] * 6 + [(np.array([1.0, 1.98, 2.01]), np.array([0, 0, 2], dtype=np.int8))]
+    starts = np.array([0.82, 1.0, 1.5, 2.0, 1.0, 2.0, 4.0])
+    found = capacities_near(simulate, known, starts, (0.25, 4.0), 2)
+    runs = np.bincount([k for k, _ in asked], minlength=7)
+    inside = found.capacity[[0, 1, 2, 5]] / found.below[[0, 1, 2, 5]]
+    assert (inside < 1.025).all()
+    assert ((found.below < capacity) & (capacity <= found.capacity))[[0, 1, 2, 5, 6]].all()
+    assert (found.below[3], found.capacity[3]) == (4.0, np.inf)
+    assert (found.below[4], found.capacity[4]) == (0.0, 0.25)
+    assert runs[[0, 1, 6]].tolist() == [4, 4, 0]
+    assert len(set(asked)) == len(asked)
+    assert runs.max() < LADDER + BISECTIONS
+    again = capacities_near(simulate, list(zip(found.levels, found.outcomes, strict=True)), starts, (0.25, 4.0), 2)
+    assert again.runs == found.runs
 
 
 @pytest.mark.parametrize(("to", "reached", "advice"), [("0.05", 0, "Raise"), ("1e6", 8, "Lower")])
@@ -583,7 +623,7 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
         refused(activefail(*words, plate / "other.toml"), message)
     for options, message in (
         (("--pulses",), "pulses: cannot be combined with simulator."),
-        (("--scale-to", "pga"), "--scale-to: must be pgv with this --simulator, got 'pga'."),
+        (("--scale-to", "pga"), "--scale-to: must be pgv with this campaign, got 'pga'."),
         (("--rim", "none"), "model: cannot be combined with simulator."),
     ):
         refused(activefail(*words, plate / "plate.toml", *options), message)

@@ -463,8 +463,8 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     capacity = 2.5 - 1.3 * np.sin(1.7 * np.arange(VALUES) + 0.4)
     exact = fit_lognormal(capacity * 0.999, capacity)
     assert exact is not None
-    assert numbers["lognormal"]["median"] == pytest.approx(exact.median, rel=0.06)
-    assert numbers["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.25)
+    assert numbers["lognormal"]["median"] == pytest.approx(exact.median, rel=0.02)
+    assert numbers["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.1)
     low, high = numbers["lognormal"]["median_interval"]
     assert low < exact.median < high
     assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2

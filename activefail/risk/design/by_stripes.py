@@ -167,7 +167,7 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
     def ratio(place: int) -> float:
         """The largest ratio of a probability by the classifier to its target."""
         question = task.question.at(candidates[place])
-        return max(stripes.by_classifier(question, one.outcome) / one.target for one in task.requirements)
+        return max(stripes.predicted(question, one.outcome).probability / one.target for one in task.requirements)
 
     last = len(candidates) - 1
     if _is_line(task):

@@ -20,7 +20,7 @@ from activefail.stripes.findings import StripeFindings
 from activefail.stripes.stripe import Stripe, Stripes
 from activefail.visible import or_worse
 
-LEVELS = 6
+LEVELS = 4
 """Levels of a curve by stripes."""
 
 _FIRST, _LAST = 0.05, 0.7
@@ -35,13 +35,15 @@ class FragilityByStripes:
     """The probability of an outcome or a more severe one at a few levels, and the lognormal curve of its values.
 
     Attributes:
-        ladder: of the variable.
+        ladder: of the variable, m levels.
+        beyond: (m, n) whether each value is, or is predicted to be, beyond the boundary at each level of the ladder.
         levels: (k,) increasing.
         stripes: (k,) what was found at each.
         found: (k,) the same in numbers and words.
     """
 
     ladder: Ladder
+    beyond: NDArray[np.bool_]
     levels: Array
     stripes: tuple[Stripe, ...]
     found: tuple[StripeFindings, ...]
@@ -54,9 +56,9 @@ class FragilityByStripes:
 
         They are 0 below the lowest level, and infinite above the highest.
         """
-        fails = np.array([one.beyond for one in self.stripes])
-        first = np.where(fails.any(axis=0), fails.argmax(axis=0), len(self.levels))
-        return np.append(0.0, self.levels)[first], np.append(self.levels, np.inf)[first]
+        levels = self.ladder.levels
+        first = np.where(self.beyond.any(axis=0), self.beyond.argmax(axis=0), len(levels))
+        return np.append(0.0, levels)[first], np.append(levels, np.inf)[first]
 
     @cached_property
     def _group(self) -> NDArray[np.intp]:
@@ -70,7 +72,7 @@ class FragilityByStripes:
         Values without the same probability have none, and a variable that is not positive.
         """
         weight = self.stripes[0].values.weight
-        if not self.levels[0] > 0.0 or not np.allclose(weight, weight[0]):
+        if not self.ladder.levels[0] > 0.0 or not np.allclose(weight, weight[0]):
             return None
         return fitted(*self.brackets, list(map(str, self._group.tolist())))
 
@@ -102,7 +104,8 @@ class FragilityByStripes:
         else:
             texts.append(("median", f"{self.fit.fit.median:.4g}{unit}{_ends(self._of_groups(self.fit.median))}"))
             texts.append(("dispersion", f"{self.fit.fit.dispersion:.3g}{_ends(self._of_groups(self.fit.dispersion))}"))
-            texts.append(("", "predictions count as right in both"))
+            text = f"from capacities between {len(self.ladder.levels)} levels; predictions count as right in both"
+            texts.append(("", text))
         count = len(self.stripes) * len(self.stripes[0].values)
         texts.append(("from", f"{self.simulations} simulations now, of {count} in all"))
         texts += [("note", sentence) for sentence in one.of_question]
@@ -154,7 +157,8 @@ def fragility_by_stripes(
     """The curve of an outcome or a more severe one, from stripes at a few levels; each teaches the next.
 
     The levels lie between those at which the classifier puts 5 % and 70 % of the values beyond the boundary. They are
-    asked for from the middle outwards: the middle teaches most.
+    asked for from the middle outwards: the middle teaches most. The classifier, which has then learned from all of
+    them, says between which levels of the ladder each capacity is.
 
     Args:
         stripes: asks.
@@ -170,7 +174,7 @@ def fragility_by_stripes(
 
     all_levels = ladder.levels.astype(np.float64)
     coarse = np.unique(np.append(all_levels[::_COARSE], all_levels[-1]))
-    shares = np.array([stripes.by_classifier(at(level), outcome) for level in coarse.tolist()])
+    shares = np.array([stripes.predicted(at(level), outcome).probability for level in coarse.tolist()])
     inside = np.flatnonzero((shares >= _FIRST) & (shares <= _LAST))
     if not len(inside):
         raise InputError(
@@ -186,5 +190,6 @@ def fragility_by_stripes(
         stripes.stage(f"{ladder.name} = {levels[place]:.4g}")
         found[place] = stripes.ask(at(float(levels[place])), outcome, wrong)
     asked = tuple(found[place] for place in range(len(levels)))
+    beyond = np.array([stripes.predicted(at(level), outcome).beyond for level in all_levels.tolist()])
     of = tuple(StripeFindings.of(stripes.campaign, one, confidence) for one in asked)
-    return FragilityByStripes(ladder, levels, asked, of)
+    return FragilityByStripes(ladder, beyond, levels, asked, of)

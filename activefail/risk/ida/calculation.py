@@ -16,6 +16,7 @@ from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.intensity import Intensity
 from activefail.progress import Begin, uncounted
+from activefail.risk.ida.by_campaign import capacities_by_campaign
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder
 from activefail.risk.ida.equivalent_pulse import (
     Prediction,
@@ -54,7 +55,8 @@ def analysis(
         to: highest level; None for that of the intensity.
         margin: that is asked for.
         pulses: whether to compare a bearing's records with their equivalent pulses, and with predictions.
-        run: of a campaign under pulses, whose classifier predicts the outcomes under the equivalent pulses.
+        run: of a campaign under pulses, whose classifier predicts the outcomes under the equivalent pulses; or of the
+            subject, whose classifier predicts the capacities.
         folder: for the files from which an interrupted analysis continues; None keeps none.
         begin: called with the largest number of simulations; returns a callback for finished ones.
 
@@ -89,11 +91,16 @@ def analysis(
             subject.answered = subject.answered or bool(kept.read())
         return capacities(simulate, len(ground), levels, BISECTIONS, severity)
 
-    of_records = capacities_under(motions)
+    if run is not None and isinstance(subject, CampaignSubject):
+        simulate = partial(subject.simulate, motions, intensities, progress)
+        of_records = capacities_by_campaign(subject, run, simulate, len(motions), levels, severity)
+    else:
+        of_records = capacities_under(motions)
     compared, predicted = None, tuple[Prediction, ...]()
     if pulses and isinstance(subject, BearingSubject):
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, of_records, [record.event for record in records.records], levels)
         predicted = predictions(subject, motions, nearest, run, of_records, levels, intensities)
-    return IdaFindings(subject, records, intensity, outcome, of_records, options, compared, predicted)
+    top = float(levels[-1])
+    return IdaFindings(subject, records, intensity, outcome, of_records, top, options, compared, predicted)

@@ -1,5 +1,6 @@
 """The lowest intensity of each record at which an outcome is reached: a ladder of levels, then bisection."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,6 +16,9 @@ from activefail.space import Array
 
 LEVELS, BISECTIONS = 10, 5
 """Levels of the ladder, and of the bisection after it."""
+
+STEP, HALVINGS = 0.1, 2
+"""Step from a predicted capacity to the other side of the true one, which doubles, and the bisections of one step."""
 
 LOWEST = 1.0 / 16.0
 """The lowest level of the ladder over the highest."""
@@ -154,10 +158,61 @@ def capacities(simulate: Simulate, records: int, rungs: Array, bisections: int, 
         if not runs:
             break
         for (k, middle), outcome_there in zip(runs, outcomes_at(runs), strict=True):
-            place = int(np.searchsorted(levels[k], middle))
-            levels[k] = np.insert(levels[k], place, middle)
-            outcomes[k] = np.insert(outcomes[k], place, outcome_there)
+            _insert(levels, outcomes, k, middle, outcome_there)
     return Capacities(severity, tuple(levels), tuple(outcomes), lifted)
+
+
+def capacities_near(
+    simulate: Simulate,
+    known: Sequence[tuple[Array, NDArray[np.int8]]],
+    starts: Array,
+    ends: tuple[float, float],
+    severity: int,
+) -> Capacities:
+    """Simulate each record at its predicted capacity, beyond it by steps that double, and between the two.
+
+    Args:
+        simulate: the outcomes of records at levels.
+        known: rising levels of each of n records, and their outcomes, that need no simulation.
+        starts: (n,) predicted capacities.
+        ends: lowest and highest level.
+        severity: of the outcome that is sought, or a worse one.
+    """
+    levels, outcomes = [one for one, _ in known], [one for _, one in known]
+    while True:
+        nexts = [_next(*one, ends, severity) for one in zip(levels, outcomes, starts.tolist(), strict=True)]
+        # A level without an outcome is not simulated again.
+        runs = [(k, level) for k, level in enumerate(nexts) if level is not None and level not in levels[k]]
+        if not runs:
+            return Capacities(severity, tuple(levels), tuple(outcomes), np.zeros(len(levels), dtype=np.int64))
+        for (k, level), outcome_there in zip(runs, simulate(runs).outcome, strict=True):
+            _insert(levels, outcomes, k, level, outcome_there)
+
+
+def _next(
+    levels: Array, outcomes: NDArray[np.int8], start: float, ends: tuple[float, float], severity: int
+) -> float | None:
+    """The next level of a record; None if its capacity is known well enough, or lies beyond an end."""
+    below, above = _bracket(levels, outcomes, severity)
+    if above <= below * (1.0 + STEP):
+        narrow = (1.0 + STEP) ** (0.5**HALVINGS)
+        return math.sqrt(below * above) if above > 1.0001 * narrow * below else None
+    # What lies between an end and a level is divided by ratios.
+    middle = math.sqrt(max(below, ends[0]) * min(above, ends[1]))
+    while start in levels and below < start < above:
+        start *= (1.0 + STEP) ** 0.3  # that level has no outcome, and steps must not lead back to it
+    if start <= below:
+        step = 1.0 + STEP * 2.0 ** ((levels >= start) & (levels <= below)).sum() / 2.0
+        return None if below >= ends[1] else min(below * step, middle if above < np.inf else ends[1])
+    if start >= above:
+        step = 1.0 + STEP * 2.0 ** ((levels >= above) & (levels <= start)).sum() / 2.0
+        return None if above <= ends[0] else max(above / step, middle if below > 0.0 else ends[0])
+    return min(start, ends[1])
+
+
+def _insert(levels: list[Array], outcomes: list[NDArray[np.int8]], k: int, level: float, outcome: np.int8) -> None:
+    place = int(np.searchsorted(levels[k], level))
+    levels[k], outcomes[k] = np.insert(levels[k], place, level), np.insert(outcomes[k], place, outcome)
 
 
 def _survived(outcomes: NDArray[np.int8], severity: int) -> NDArray[np.bool_]:

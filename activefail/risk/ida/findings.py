@@ -31,6 +31,7 @@ class IdaFindings:
     intensity: Intensity  # of all levels
     outcome: str  # the outcome that is sought
     capacities: Capacities  # under the records
+    highest: float  # the highest level
     options: MarginOptions | None = None  # of the margin of FEMA P695; None if it was not asked for
     pulses: PulseComparison | None = None  # the comparison with equivalent pulses; None if it was not asked for
     predictions: tuple[Prediction, ...] = ()  # what predicts the outcomes at the ladder's levels, with `pulses`
@@ -79,11 +80,6 @@ class IdaFindings:
         return int(np.isfinite(self.capacities.capacity).sum())
 
     @property
-    def highest(self) -> float:
-        """The highest level."""
-        return float(self.capacities.levels[0][-1])
-
-    @property
     def lowest(self) -> float:
         """The lowest level of the ladder; bisection may have gone lower."""
         return LOWEST * self.highest
@@ -123,11 +119,14 @@ class IdaFindings:
         worse = "" if self.is_of_worst else ", or a worse outcome"
         vertical = "with vertical components, " if records.has_vertical else ""
         rows = [] if self.terms is None else self.terms.lines()
+        now = ""
         if isinstance(self.subject, CampaignSubject):
             rows.append(("simulator", f"of {self.subject.name}"))
+            if self.subject.simulated < self.capacities.runs:
+                now = f", {self.subject.simulated} of them now"
         rows += [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
-            ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
+            ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}{now}"),
             (self.outcome, f"{self.failed} of {count} records reach it{worse}"),
         ]
         if self.fragility is not None:

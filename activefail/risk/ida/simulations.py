@@ -21,7 +21,7 @@ from activefail.errors import InputError, SimulationError, naming
 from activefail.files import replacing, writing_to
 from activefail.motions import Motions
 from activefail.risk.ida.capacity import Answers, Runs, Simulate
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.trust import read_regular
 from activefail.verification.stored_sets import first_fault_text
@@ -174,6 +174,8 @@ class CampaignSubject:
         ground: the ground motion in its designs.
         asked: values of its other variables.
         executor: runs the simulations.
+        keep: called with the designs and results of simulations.
+        simulated: number of simulations so far.
         values, outcomes, notes, fault, answered: as for `BearingSubject`.
     """
 
@@ -182,6 +184,8 @@ class CampaignSubject:
     ground: Ground
     asked: Mapping[str, float]
     executor: "Executor"
+    keep: Callable[[Array, Results], None] = lambda *_: None
+    simulated: int = 0
     answered: bool = False
     fault: str = ""
 
@@ -204,18 +208,24 @@ class CampaignSubject:
         if not self.answered and len(runs) > _FIRST:
             parts = (self.simulate(records, intensities, progress, part) for part in (runs[:_FIRST], runs[_FIRST:]))
             return Answers(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        which, level = np.array(runs).T
-        # Of a number between two whole ones rounding changes nothing.
-        which = which if self.ground.records else which + 0.5
-        columns = {name: np.full(len(runs), value) for name, value in self.asked.items()}
-        columns |= {self.ground.record: which, self.ground.level: level}
-        X = np.column_stack([columns[name] for name in self.campaign.space.names])
+        X = self.designs(runs)
         results = self.executor.run(self.campaign.simulator, X, progress)
         self.fault = self.fault or first_fault_text(results.faults.values()).strip()
         self.answered = self.answered or bool((results.outcome != NUMERICAL_FAILURE).any())
         if not self.answered:
             raise SimulationError(f"None of {len(runs)} simulations gave an outcome. {self.fault}".rstrip())
+        self.keep(X, results)
+        self.simulated += len(X)
         return Answers(results.outcome, np.zeros(len(runs), dtype=bool))
+
+    def designs(self, runs: Runs) -> Array:
+        """The designs of records at levels, (n, d)."""
+        which, level = np.array(runs).T
+        # Of a number between two whole ones rounding changes nothing.
+        which = which if self.ground.records else which + 0.5
+        columns = {name: np.full(len(runs), value) for name, value in self.asked.items()}
+        columns |= {self.ground.record: which, self.ground.level: level}
+        return np.column_stack([columns[name] for name in self.campaign.space.names])
 
     @property
     def identity(self) -> dict[str, Any]:
