@@ -55,7 +55,7 @@ DESIGNS = (  # T_b [s], mu, D_tot [m], Cy
     (4.5, 0.06, 0.60, 0.35),
 )
 NAMES = ("T_b", "mu", "D_tot", "Cy")
-SOUGHT = ((DESIGNS[0], 0.1), (DESIGNS[0], 0.025), (DESIGNS[1], 0.1))
+SOUGHT = ((DESIGNS[1], 0.1), (DESIGNS[1], 0.025), (DESIGNS[0], 0.025))
 """Designs of which D_tot is sought, and targets, in this order."""
 
 RATIO = 1.04
@@ -287,7 +287,7 @@ def tables(rows):
         line(row["seed"], row["levels"], row["runs"], *found)
 
 
-STRONG, STIFF = (0, 13, 22, 35), (3, 10, 27, 33)
+STRONG, STIFF = (0, 13, 22, 35), (3, 27, 33)
 """Numbers of the records with which the step is halved, and of those under which the frame is stiff."""
 
 
@@ -310,7 +310,7 @@ def checks(options, work):
     bearing = Bearing.from_table(T_b=4.0, mu=0.06, D_tot=0.9, h_sl_ratio=0.4, h_rim_ratio=0.1, p=45.0, k=2e13)
     length, friction = rigid_limit(bearing)
     stiff = {"T_b": 2.0 * math.pi * math.sqrt(length / GRAVITY), "mu": friction, "D_tot": 0.9, "Cy": 2.0, "T_s": 0.3}
-    fine = {"time_step": 0.002, "mobilised": 1e-4}
+    fine = {"time_step": 0.005, "mobilised": 1e-4}
     peaks, rigid = [], []
     for number in STIFF:
         design, record = motion(number, 1.2, **stiff)
@@ -341,7 +341,7 @@ def checks(options, work):
     line("largest shear of the isolators over mu + x/L", f"{min(shears):.3f} to {max(shears):.3f}")
     line("peak of the rigid bearing [m]", listed(peaks, "{:.3f}"))
     last = found["motions"][len(halved) :]
-    for name, part in (("10 ms, friction over 1 mm", last[::2]), ("2 ms, over 0.1 mm", last[1::2])):
+    for name, part in (("10 ms, friction over 1 mm", last[::2]), ("5 ms, over 0.1 mm", last[1::2])):
         ratios = [one[1]["displacement_ratio"] * 0.9 / peak - 1.0 for one, peak in zip(part, peaks, strict=True)]
         line(f"peak of a stiff frame against it, {name} [%]", listed(np.multiply(100.0, ratios), "{:+.1f}"))
     count, seconds = features_of_a_campaign(work)
@@ -356,7 +356,7 @@ def features_of_a_campaign(work):
     with activefail.create_run(work / "features", settings, code=CAMPAIGN.parent) as run:
         run.features(run.space.sobol(4, np.random.default_rng(0)))  # compiles
         (module,) = (one for name, one in sys.modules.items() if name.endswith("frame_coarse"))
-        respond, count, seconds = module.respond_all, 0, 0.0
+        respond, count, seconds = module.capacities, 0, 0.0
 
         def timed(*arguments):
             nonlocal count, seconds
@@ -364,7 +364,7 @@ def features_of_a_campaign(work):
             respond(*arguments)
             count, seconds = count + len(arguments[5]), seconds + time.process_time() - began
 
-        module.respond_all = timed
+        module.capacities = timed
         while len(designs := run.ask(5)):
             run.tell(designs.assign(outcome=np.where(designs["PGV"] > MCE, "collapse", "safe")))
     return count, seconds
