@@ -96,9 +96,14 @@ class Option(NamedTuple):
         """Whether it belongs to one of several ways of answering."""
         return bool(self.needs or self.bars)
 
+    def words(self, name: str) -> str:
+        """The option of a field, or those of its parts, as the command line has them."""
+        named = {part: of.names for part, of in self.parts.items()} or {name: self.names}
+        return " or ".join((names or (f"--{part.replace('_', '-')}",))[0] for part, names in named.items())
+
     def is_given(self, value: Any) -> bool:
         """Whether a value is one that the user gave; a flag is given if it is set."""
-        if value is None or value is False:
+        if value is None or value is False or value == self.default:
             return False
         return not self.parts or value != self.value({name: of.default for name, of in self.parts.items()})
 
@@ -158,9 +163,9 @@ class Request(Generic[F_co]):
                 if not of.is_given(getattr(self, one.name)):
                     object.__setattr__(self, one.name, of.default)
                 elif of.needs and getattr(self, of.needs) is None:
-                    raise InputError(f"{one.name}: requires {of.needs}.")
+                    raise InputError(f"{of.words(one.name)}: requires --{of.needs}.")
                 elif of.bars and getattr(self, of.bars) is not None:
-                    raise InputError(f"{one.name}: cannot be combined with {of.bars}.")
+                    raise InputError(f"{of.words(one.name)}: cannot be combined with --{of.bars}.")
             _check(one.name, getattr(self, one.name), of)
 
     def answer(self, run: Any) -> F_co:

@@ -175,8 +175,8 @@ def sought(study, seed, done):
                 runs=found.simulations,
                 stripes=len(found.stripes),
                 meets=found.meets,
-                D_tot=found.values[place],
-                below=found.values[place - 1] if place and found.meets else None,
+                D_tot=found.candidates[place]["D_tot"],
+                below=found.candidates[place - 1]["D_tot"] if place and found.meets else None,
             )
 
 

@@ -433,7 +433,7 @@ def test_an_incremental_dynamic_analysis_takes_the_records_of_the_campaign(
         "--records: must be those of the campaign, mine; leave them out",
     )
     refused(activefail(*words, "--scale-to", "pga"), "--scale-to: must be pgv with this campaign, got 'pga'")
-    refused(activefail(*words, "--unit", "g"), "unit: requires records.")
+    refused(activefail(*words, "--unit", "g"), "--unit: requires --records.")
     refused(activefail("ida", "--bearing", folder / "values.toml"), "--records: required, unless a campaign has")
     # A campaign's classifier says where to begin, and the simulations join its record.
     run = folder / "begun"

@@ -287,7 +287,7 @@ class ResultTable:
 
 
 def _unit(value: float) -> float:
-    """The unit of the last digit that a value has, by which rounding or cutting off moved it at most: 0.01 of 33.74."""
+    """The unit of a value's last digit that is not zero, by which rounding moved it at most: 0.01 of 33.74 and 33.740."""
     exponent = Decimal(repr(float(value))).normalize().as_tuple().exponent
     return 10.0**exponent if isinstance(exponent, int) else 0.0
 
@@ -396,9 +396,10 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
     variables = campaign.space.parameters
     design = np.array([table.value(row, one) if one.name in table.columns else np.nan for one in variables])
     for name, value in campaign.space.fixed.items():
-        if name in table.columns and abs((cell := table.finite(row, name)) - value) > min(
-            _unit(cell), 1e-3 * abs(value)
-        ):
+        if name not in table.columns:
+            continue
+        cell = table.finite(row, name)
+        if abs(cell - value) > max(_SAME * abs(value), min(_unit(cell), 1e-3 * abs(value))):
             raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
     return design
 

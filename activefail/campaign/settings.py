@@ -94,8 +94,8 @@ class CampaignSettings(Section):
         seed: seed of all random numbers.
         simulator: "dfp", the double friction pendulum bearing, or a table of a custom simulator.
         bearing: model of the bearing.
-        space: variables and fixed quantities by name. Those of the bearing that are left out are as in Table 1; with
-            a custom simulator all are required.
+        space: variables and fixed quantities by name. If all are of the bearing, those left out are as in Table 1; a
+            custom simulator requires all.
         correlation: pairs of variables with the correlation coefficient of their values.
         constraints: conditions that all designs meet, such as "depth + gap <= 1".
         sampling: numbers of simulations.

@@ -211,7 +211,7 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--fixed", "bearing.toml"], "fixed: requires hazard."),
+        (["--fixed", "bearing.toml"], "--bearing: requires --hazard."),
         (["--hazard", "site.toml", "--target", "2"], "target: must be a probability between 0.001 and 0.9"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
     ],
@@ -234,7 +234,7 @@ def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_pa
         "hazard: requires the variable 'T_p' of a pulse; the campaign has x.",
     )
     with open_run(tmp_path / "run", code=tmp_path) as opened:
-        with pytest.raises(InputError, match="target: requires hazard"):
+        with pytest.raises(InputError, match="--target: requires --hazard"):
             opened.report(target="II")
         opened.report(tmp_path / "page.html")
     assert "Fragility" not in (tmp_path / "page.html").read_text()

@@ -622,9 +622,9 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
         (plate / "other.toml").write_text(settings.replace(old, new))
         refused(activefail(*words, plate / "other.toml"), message)
     for options, message in (
-        (("--pulses",), "pulses: cannot be combined with simulator."),
+        (("--pulses",), "--pulses: cannot be combined with --simulator."),
         (("--scale-to", "pga"), "--scale-to: must be pgv with this campaign, got 'pga'."),
-        (("--rim", "none"), "model: cannot be combined with simulator."),
+        (("--rim", "none"), "--slider-diameter or"),
     ):
         refused(activefail(*words, plate / "plate.toml", *options), message)
 

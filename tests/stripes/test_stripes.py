@@ -383,16 +383,16 @@ def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ..
 @pytest.mark.parametrize(
     ("command", "words", "rule"),
     [
-        ("probability", "--wrong 0.01 --simulations 50", "simulations: cannot be combined with wrong."),
-        ("probability", "--at-once 3", "at_once: requires wrong."),
-        ("design", "--target 0.1 --wrong 0.01 --simulations 200", "simulations: cannot be combined with wrong."),
-        ("design", "--target 0.1 --wrong 0.01 --chart --out OUT", "chart: cannot be combined with wrong."),
+        ("probability", "--wrong 0.01 --simulations 60", "--simulations: cannot be combined with --wrong."),
+        ("probability", "--at-once 4", "--at-once: requires --wrong."),
+        ("design", "--target 0.1 --wrong 0.01 --simulations 200", "--simulations: cannot be combined with --wrong."),
+        ("design", "--target 0.1 --wrong 0.01 --chart --out OUT", "--chart: cannot be combined with --wrong."),
         ("design", "--target 0.1 --chart", "--chart: requires --out."),
-        ("design", "--target 0.1 --at-once 2", "at_once: requires wrong."),
-        ("fragility", "--against x --wrong 0.01 --verify 100", "verify: cannot be combined with wrong."),
-        ("fragility", "--wrong 0.01 --hazard site.toml", "hazard: cannot be combined with wrong."),
-        ("fragility", "--against x --intensity pgv", "intensity: requires hazard."),
-        ("fragility", "--hazard site.toml --range 1,2", "bounds: requires against."),
+        ("design", "--target 0.1 --at-once 2", "--at-once: requires --wrong."),
+        ("fragility", "--against x --wrong 0.01 --verify 100", "--verify: cannot be combined with --wrong."),
+        ("fragility", "--wrong 0.01 --hazard site.toml", "--hazard: cannot be combined with --wrong."),
+        ("fragility", "--against x --intensity a_p", "--intensity: requires --hazard."),
+        ("fragility", "--hazard site.toml --range 1,2", "--range: requires --against."),
     ],
 )
 def test_an_option_of_another_way_of_answering_is_refused(
@@ -405,8 +405,8 @@ def test_an_option_of_another_way_of_answering_is_refused(
 def test_python_refuses_them_too_and_shows_their_defaults(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as opened:
         for words, rule in (
-            ({"wrong": 0.01, "simulations": 50}, "simulations: cannot be combined with wrong."),
-            ({"at_once": 3}, "at_once: requires wrong."),
+            ({"wrong": 0.01, "simulations": 60}, "--simulations: cannot be combined with --wrong."),
+            ({"at_once": 4}, "--at-once: requires --wrong."),
         ):
             with pytest.raises(InputError, match=rule):
                 opened.probability(**words)
