@@ -589,8 +589,8 @@ class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: simulations of the initial design, a Latin hypercube. With `stop.probability` and a custom simulator
-            the default is twice the number of variables, at least 12.
+        initial: simulations of the initial design, a Latin hypercube. The default is half of a budget below 250. With
+            `stop.probability` and a custom simulator it is twice the number of variables, at least 12.
         budget: all simulations.
         batch: designs in a batch, which use as many cores; in an asynchronous campaign, in flight at a time. With
             `stop.probability` and a custom simulator 1 by default.
@@ -604,6 +604,14 @@ class Sampling(Section):
     batch: int = Field(10, ge=1, le=500)
     asynchronous: bool = False
     reach: float = Field(1e-8, ge=1e-12, le=0.1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_half_of_a_small_budget(cls, values: Any) -> Any:
+        budget = values.get("budget") if isinstance(values, dict) else None
+        if isinstance(budget, int) and 2 <= budget < cls.model_fields["initial"].default:
+            return {"initial": max(2, budget // 2)} | values
+        return values
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

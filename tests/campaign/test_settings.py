@@ -454,6 +454,14 @@ def test_variables_of_the_bearing_that_a_file_leaves_out_are_as_in_table_1() -> 
     }
 
 
+def test_half_of_a_small_budget_is_the_initial_design_unless_a_file_says_more() -> None:
+    def initial(text: str) -> int:
+        return parse_settings(text, "mine.toml").sampling.initial
+
+    assert [initial(f"sampling.budget = {n}") for n in (2, 3, 40, 249, 250, 1000)] == [2, 2, 20, 124, 250, 250]
+    assert initial("sampling = { initial = 30, budget = 40 }") == 30
+
+
 def test_the_frozen_copy_writes_the_defaults_out() -> None:
     def keys(model: Any) -> Any:
         return {name: keys(value) if isinstance(value, dict) else None for name, value in model.items()}
