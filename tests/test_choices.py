@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from commandline import activefail
+from commandline import activefail, refused
 from ran import ran_in
 from scipy.stats import norm
 
@@ -24,7 +24,7 @@ from activefail.explorer.answers import Answers
 from activefail.features import feature_map
 from activefail.figures.outcome_planes import coordinates
 from activefail.parameter import Parameter
-from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.design.design_task import DesignTask, Requirement, design_task
 from activefail.risk.design.search import cheapest
 from activefail.risk.sensitivity.calculation import sensitivity
 from activefail.simulators.returned import designs_by_name
@@ -484,16 +484,39 @@ def test_the_command_designs_over_choices_and_takes_one_with_a_comma(beams: Path
     again = activefail("probability", beams / "run", "--code", beams, "--fixed", "width=1.0,steel=hard, hot rolled")
     assert found.code == again.code == 0, again.err
     assert found.out.splitlines()[0] == again.out.splitlines()[0]
-    # The loads of 65 kN and more that would break it do not exist: 60 kN alone is above 61.
-    assert activefail(*words, "--free", "width,steel,load").code == 2
+    refused(activefail(*words, "--free", "width,steel,load"), "question: fixes every variable, so nothing is uncertain")
+
+
+def task_over(*free: Parameter, cost: str) -> DesignTask:
+    """A task under an uncertain load."""
+    campaign = SimpleNamespace(space=DesignSpace((LOAD, *free)))
+    asked = Inquiry(campaign, Question.of_space(campaign.space))  # type: ignore[arg-type]
+    return design_task(asked, (Requirement("failure", 0.1),), [one.name for one in free], cost)
+
+
+def test_of_equally_cheap_designs_the_safest_is_taken_though_rounding_parts_their_costs() -> None:
+    steel = Parameter.of_choices("steel", ("good", "soft"), features=(("price", (3.0, 1.0)),))
+    task = task_over(Parameter("width", 0.1, 0.3, step=0.1), steel, cost="width * price")
+    good, soft = {"width": 0.1, "steel": 0.0}, {"width": 0.3, "steel": 1.0}
+    assert task.cost(soft) < task.cost(good) < task.cost(soft) + 1e-15
+
+    def model(values: dict[str, float], points: int) -> np.ndarray:
+        return np.array([0.01 if values == good else 0.05 if task.rank(values) >= 0.3 else 0.5])
+
+    assert cheapest(task, model, np.array([0.1])).values == good
+
+
+def test_few_combinations_of_choices_beside_a_continuous_variable_are_searched() -> None:
+    width, *others = Parameter("width", 0.1, 1.0), *(Parameter.of_choices(name, range(11)) for name in ("a", "b"))
+    with pytest.raises(InputError, match="free: the values of a, b must make at most 100 combinations, got 121"):
+        task_over(width, *others, cost="width")
+    assert len(task_over(width, others[0], cost="width").choices) == 1
+    assert task_over(*others, cost="a").is_finite
 
 
 def test_choices_beside_a_continuous_variable_are_searched_one_by_one() -> None:
     steel = Parameter.of_choices("steel", ("soft", "hard", "special"), features=(("price", (1.0, 1.5, 2.5)),))
-    width, load = Parameter("width", 0.1, 1.0), Parameter("load", 5.0, 60.0)
-    campaign = SimpleNamespace(space=DesignSpace((load, width, steel)))
-    asked = Inquiry(campaign, Question.of_space(campaign.space))  # type: ignore[arg-type]
-    task = design_task(asked, (Requirement("failure", 0.1),), ("width", "steel"), "width * price")
+    task = task_over(Parameter("width", 0.1, 1.0), steel, cost="width * price")
 
     def model(values: dict[str, float], points: int) -> np.ndarray:
         needed = {0.0: 2.0, 1.0: 0.6, 2.0: 0.5}[values["steel"]]  # of soft steel no beam is wide enough

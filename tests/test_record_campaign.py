@@ -404,7 +404,10 @@ def test_a_fragility_and_a_design_are_found_under_records(done: Path, folder: Pa
     found = activefail(*words, "--json")
     assert found.code == 0, found.err
     assert 0.0 <= json.loads(found.out)["bearing"]["strength"] <= 1.0
-    refused(activefail(*words[:3], "record", *words[4:]), "free: record has choices without order")
+    refused(
+        activefail(*words[:3], "record", *words[4:]),
+        "free: record has the records of a set, which the designer cannot choose",
+    )
 
 
 # --- incremental dynamic analysis -------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from activefail.bearing.design import GRAVITY, Model, Tolerance
+from activefail.bearing.design import GRAVITY, TABLE_1, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
@@ -245,12 +245,12 @@ class Answers:
             InputError: if the campaign's simulator has no bearing to show.
         """
         simulator, response = self._simulated(point)
-        terms = terms_of(simulator, dict(zip(self.space.names, point, strict=True)))
+        terms = terms_of(simulator, self.space.quantities(dict(zip(self.space.names, point, strict=True))))
         answer: Answer = {
             "outcome": response.outcome_name,
             "description": describe_outcome(response),
             "terms": "" if terms is None else terms.text,
-            "command": _command(simulator, self.space.names, point),
+            "command": _command(simulator, point),
         }
         try:
             motion = Motion(response)
@@ -313,9 +313,10 @@ def _place(upper: "Axes", lower: "Axes") -> dict[str, float]:
     return {"left": top.x0, "right": top.x1, "top": 1.0 - top.y1, "bottom": 1.0 - bottom.y0}
 
 
-def _command(simulator: DfpSimulator, names: Sequence[str], point: Sequence[float]) -> str:
+def _command(simulator: DfpSimulator, point: Sequence[float]) -> str:
     """The command that simulates this bearing: the design with all digits, and settings that are not the default."""
-    design = dict(zip(names, point, strict=True))
+    (row,) = simulator.space.table(np.array([point]), TABLE_1.names).tolist()
+    design = dict(zip(TABLE_1.names, row, strict=True))
     defaults = asdict(Model()) | {"tolerance": Tolerance().relative}
     settings = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
     arguments = ["activefail", "simulate"]

@@ -230,7 +230,7 @@ class DesignAnswers:
         nearest = curve.grid[-1] if curve.P.min() <= target else curve.grid[np.argmin(curve.P)]
         at = value if is_met else float(nearest)
         probability = curve.probability(at)
-        terms = terms_of(self.campaign.simulator, {**dict(bearing), CAPACITY: at})
+        terms = terms_of(self.campaign.simulator, self.space.quantities({**dict(bearing), CAPACITY: at}))
         return {
             "required": value if is_met else None,
             "probability": probability,

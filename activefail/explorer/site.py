@@ -55,7 +55,8 @@ class CampaignSite:
     @property
     def has_design(self) -> bool:
         """Whether the page Design works: for a pulse and a displacement capacity."""
-        return CAPACITY in self._answers.space.names and has_pulse(self._answers.space)
+        space = self._answers.space
+        return any(one.name == CAPACITY and not one.choices for one in space.parameters) and has_pulse(space)
 
     @cached_property
     def _verifications(self) -> "Verifications":

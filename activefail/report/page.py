@@ -203,7 +203,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         except InputError:
             continue  # it failed at the start: there is no motion to draw
         alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
-        terms = terms_of(simulator, dict(zip(space.names, X.tolist(), strict=True)))
+        terms = terms_of(simulator, space.quantities(dict(zip(space.names, X.tolist(), strict=True))))
         entered = "given" if findings.given[row] else f"iteration {findings.iteration[row]}"
         shown.append(
             {

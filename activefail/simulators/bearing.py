@@ -33,11 +33,9 @@ def limits_of(simulator: object) -> tuple[str, ...]:
     return (_LIMITS.format(rims),)
 
 
-def terms_of(simulator: object, values: Mapping[str, float]) -> Terms | None:
-    """The designer's terms of a bearing with these values and the space's fixed ones; None for another simulator."""
-    if not isinstance(simulator, DfpSimulator):
-        return None
-    return Terms.of({**simulator.space.quantities(values), **values}, simulator.model)
+def terms_of(simulator: object, quantities: Mapping[str, float]) -> Terms | None:
+    """The designer's terms of a bearing with these quantities (`DesignSpace.quantities`); None if it is not one."""
+    return Terms.of(quantities, simulator.model) if isinstance(simulator, DfpSimulator) else None
 
 
 @dataclass(frozen=True)
@@ -67,8 +65,14 @@ class DfpSimulator:
 
         Raises:
             InputError: if the space lacks a variable of Table 1, has an unknown one, contains values that are not
-                positive, or contains a bearing that cannot be built.
+                positive, gives one choices, or contains a bearing that cannot be built.
         """
+        for one in space.parameters:
+            if one.choices and one.name in TABLE_1.names:
+                raise InputError(
+                    f"space.{one.name}.choices: a variable of the dfp simulator has numbers in order; use `step`, or "
+                    "`features` of another variable with choices."
+                )
         lowest, highest = np.transpose([space.range_of(name) for name in TABLE_1.names])
         carrying = {one.name for one in space.parameters if not {*dict(one.features)}.isdisjoint(TABLE_1.names)}
         for name in (*space.names, *space.fixed):

@@ -3,6 +3,7 @@
 import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,13 @@ from report.test_report import other, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.settings import parse_settings
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.findings.results import predict
+
+CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 
@@ -62,6 +67,20 @@ def test_the_middle_of_the_space_has_no_digits_of_rounding(answers):
     middle = answers.about()["presets"][-1]["point"]
     assert middle == [4.0, 0.07, 0.65, 0.815, 0.125, 45.0, 2.625e9, 2.625, 0.45]
     assert " --mu 0.07 " in answers.simulate(middle)["command"]
+
+
+def test_the_command_of_a_bearing_of_a_catalogue_has_the_numbers_of_its_choices(tmp_path):
+    text = (CAMPAIGNS / "catalogue.toml").read_text().replace("initial = 60\nbudget = 150", "initial = 30\nbudget = 30")
+    answers = answers_of(Campaign.of(parse_settings(text, "catalogue")), tmp_path / "run")
+    reply = answers.simulate([0.55, 2.0, 1.0, 3.0, 0.6])
+    assert reply["command"] == (
+        "activefail simulate --t-b 4 --mu 0.1 --d-tot 0.55 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2000000000 "
+        "--t-p 3 --a-p 0.6"
+    )
+    result = CliRunner().invoke(app, shlex.split(reply["command"])[1:])
+    assert result.exit_code == 0, result.output
+    assert reply["outcome"] in result.output
+    assert all(part in result.output for part in reply["terms"].split("; rims: "))
 
 
 def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):

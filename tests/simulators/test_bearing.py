@@ -1,6 +1,7 @@
 """The bearing as a campaign's simulator: what its physics says for certain, and what follows."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from activefail.findings.results import predict
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
 from activefail.reliability.integral import BoundariesOf, integrate
+from activefail.risk.design.findings import DesignFindings
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.threads import one_thread
@@ -82,7 +84,20 @@ def test_a_bearing_of_a_catalogue_is_the_bearing_with_the_numbers_of_its_choices
     np.testing.assert_array_equal(results.margins, direct.margins)
     assert campaign.simulator.harmless(X).tolist() == (A_p <= mu).tolist()
     assert {"mu", "h_rim_ratio", "liner_price"} < {*campaign.features.names}
-    assert terms_of(campaign.simulator, dict(zip(space.names, X[0], strict=True))).capacity == D_tot[0]
+    terms = terms_of(campaign.simulator, space.quantities(dict(zip(space.names, X[0].tolist(), strict=True))))
+    assert terms is not None
+    assert terms == terms_of(campaign.simulator, dict(zip(TABLE_1.names, table[0].tolist(), strict=True)))
+
+
+def test_the_terms_of_a_design_of_a_catalogue_are_those_of_the_numbers_of_its_choices() -> None:
+    numbered = CATALOGUE.read_text().replace('["A", "B", "C"]', "[10, 20, 30]")
+    campaign = Campaign.of(parse_settings(numbered, "catalogue"))
+    asked = SimpleNamespace(campaign=campaign, hazard=None)
+    question = SimpleNamespace(fixed={"D_tot": 0.6, "liner": 2.0, "rim": 1.0})
+    designed = SimpleNamespace(task=SimpleNamespace(asked=asked), question=question)
+    terms = DesignFindings(designed, None).terms  # type: ignore[arg-type]
+    assert terms is not None
+    assert terms.nominal_force == pytest.approx(0.10 + 0.6 * (2.0 * np.pi / 4.0) ** 2 / 9.81, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -91,6 +106,16 @@ def test_a_bearing_of_a_catalogue_is_the_bearing_with_the_numbers_of_its_choices
         ("mu = [0.03, 0.06, 0.10], ", "", "space: lacks the variable 'mu'"),
         ("mu = [0.03,", "mu = [-0.03,", "space.liner.features.mu: must be positive for the dfp simulator, got -0.03"),
         ("rim_price = [", "mu = [", "space.rim.features.mu: 'mu' is already"),
+        (
+            "T_b = { value = 4.0, unit = ",
+            "T_b = { choices = [3.0, 4.0], unit = ",
+            "space.T_b.choices: a variable of the",
+        ),
+        (
+            "T_b = { value = 4.0, unit = ",
+            'T_b = { choices = ["A", "B"], unit = ',
+            "use `step`, or `features` of another",
+        ),
         ("T_b = { value = 4.0", "T_b = { value = 0.5", "cannot be built"),
     ],
 )

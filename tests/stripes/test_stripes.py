@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.stats import beta, norm
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.finite import FiniteValues
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question, asked_of
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
@@ -22,9 +24,12 @@ from activefail.loop.learning import current
 from activefail.loop.running import run
 from activefail.opening import open_run
 from activefail.parameter import Parameter
+from activefail.progress import silent
 from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
 from activefail.requests import ProbabilityRequest
+from activefail.risk.design.by_stripes import design_by_stripes
+from activefail.risk.design.design_task import Requirement, design_task
 from activefail.risk.ida.collapse import fit_lognormal
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array, DesignSpace
@@ -441,7 +446,53 @@ def test_design_finds_the_smallest_value_that_meets_its_target_in_few_simulation
     assert "This largest y of the campaign's range does not meet the target" in unreachable.out
 
 
-def test_design_by_stripes_has_one_free_variable(folder: Path) -> None:
+class MadeStripes:
+    """Stripes of designs with made probabilities, the classifier's own before and after each that is asked for."""
+
+    stage = staticmethod(silent)
+
+    def __init__(self, predicted: list[tuple[float, ...]], truth: tuple[float, ...]) -> None:
+        self.by_classifier, self.truth = predicted, truth
+        self.asked, self.looked = list[int](), list[int]()
+
+    def predicted(self, question: Question, outcome: str) -> SimpleNamespace:
+        self.looked.append(int(question.fixed["bearing"]))
+        return SimpleNamespace(probability=self.by_classifier[len(self.asked)][self.looked[-1]])
+
+    def ask(self, question: Question, outcome: str, wrong: float) -> SimpleNamespace:
+        self.asked.append(int(question.fixed["bearing"]))
+        return SimpleNamespace(probability=self.truth[self.asked[-1]])
+
+
+@pytest.mark.parametrize(
+    ("predicted", "truth", "asked", "looked", "result"),
+    [
+        # The first fails by its simulations, though the classifier then thinks that it meets the target.
+        ([(0.15, 0.5, 0.2), (0.05, 0.5, 0.11), (0.05, 0.5, 0.05)], (0.12, 0.5, 0.05), [0, 2], "012 12 1", "2, Of the 2 "
+         "before it, 1 miss it by their simulations, and 1 by the classifier."),
+        # The dearer ones behind one that promises to meet the target are not looked at.
+        ([(0.2, 0.05, 0.01), (0.2, 0.05, 0.01)], (0.2, 0.06, 0.01), [1], "01 0", "1, Of the 1 before it, 0 miss"),
+        # The safest is that by the simulations.
+        ([(0.3, 0.05, 0.2), (0.3, 0.05, 0.13)], (0.3, 0.12, 0.1), [1], "01 02", "1, None of 3 designs meets the target "
+         "under these values: 1 miss it by their simulations, and 2 by the classifier. This one is the safest."),
+    ],
+)  # fmt: skip
+def test_of_a_catalogue_simulations_decide_and_the_classifier_says_what_to_ask_for(
+    predicted: list[tuple[float, ...]], truth: tuple[float, ...], asked: list[int], looked: str, result: str
+) -> None:
+    space = DesignSpace((Parameter("x", 0.0, 4.0), Parameter.of_choices("bearing", ("A", "B", "C"))))
+    inquiry = Inquiry(SimpleNamespace(space=space), Question.of_space(space))  # type: ignore[arg-type]
+    stripes = MadeStripes(predicted, truth)
+    task = design_task(inquiry, (Requirement("failure", 0.1),), ("bearing",))
+    found = design_by_stripes(stripes, task, 0.01)  # type: ignore[arg-type]
+    assert stripes.asked == asked
+    assert stripes.looked == [int(one) for one in looked.replace(" ", "")]
+    place, sentence = result.split(", ", 1)
+    assert found.place == int(place)
+    assert sentence in found.verdict
+
+
+def test_design_by_stripes_refuses_two_ranges_and_a_continuous_open_variable(folder: Path) -> None:
     words = ("design", folder / "run", "--code", folder, "--wrong", "0.01", "--target", "0.2")
     refused(activefail(*words, "--free", "x,y"), "wrong: requires one free variable")
     refused(activefail(*words, "--free", "y"), "x is continuous")

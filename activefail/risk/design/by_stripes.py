@@ -1,6 +1,6 @@
 """The cheapest design that meets its targets under finitely many values, such as records, stripe by stripe."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,9 @@ from activefail.visible import visible
 
 STEPS = 40
 """Steps of the range of a continuous free variable."""
+
+_MEETS = 1.0 + 1e-9
+"""Largest ratio of a probability to its target that meets it: weights that sum to the target may round above it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,7 @@ class DesignByStripes:
     @property
     def meets(self) -> bool:
         """Whether the result meets its targets."""
-        return _meets(self.task, self.stripes[self.place])
+        return _ratio(self.task, self.stripes[self.place]) <= _MEETS
 
     @property
     def exit_code(self) -> int:
@@ -68,12 +71,14 @@ class DesignByStripes:
         name = self.task.free[0]
         if not _is_line(self.task):
             count = len(self.candidates)
+            before = self.place if self.meets else count
+            looked = sum(place < before for place in self.stripes)
+            missed = f"{looked} miss it by their simulations, and {before - looked} by the classifier"
             if not self.meets:
-                return f"The classifier puts none of the {count} designs below the target. This one is the safest."
-            looked = sum(place < self.place for place in self.stripes)
+                return f"None of {count} designs meets the target under these values: {missed}. This one is the safest."
             return (
-                f"The cheapest of {count} designs that meets the target under these values. Of the cheaper ones, "
-                f"{looked} miss it by their simulations, and {self.place - looked} by the classifier."
+                f"The cheapest of {count} designs that meets the target under these values, or the first of equally "
+                f"cheap ones. Of the {before} before it, {missed}."
             )
         if not self.meets:
             return f"This largest {name} of the campaign's range does not meet the target under these values."
@@ -123,11 +128,9 @@ class DesignByStripes:
         return [one.outcome for one in self.task.requirements]
 
 
-def _meets(task: DesignTask, stripes: tuple[Stripe, ...]) -> bool:
-    return all(
-        one.probability <= requirement.target + 1e-12
-        for one, requirement in zip(stripes, task.requirements, strict=True)
-    )
+def _ratio(task: DesignTask, stripes: Iterable[Stripe]) -> float:
+    """The largest ratio of a probability to its target."""
+    return max(one.probability / of.target for one, of in zip(stripes, task.requirements, strict=True))
 
 
 def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> DesignByStripes:
@@ -136,7 +139,7 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
     Of a single variable that is to be small it assumes that the probabilities fall with it. The classifier predicts
     where they meet the targets, and stripes there and beside it bracket the result, by steps that double; bisection
     ends the search. Of a catalogue, the cheapest design that the classifier predicts to meet them is asked for, until
-    one does.
+    one does; if it predicts none, the safest one, until none seems safer than one that was asked for.
 
     Args:
         stripes: asks.
@@ -162,22 +165,23 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
             written = task.asked.campaign.space.written(candidates[place])
             stripes.stage(", ".join(f"{name} = {value}" for name, value in written.items()))
             asked[place] = tuple(stripes.ask(question, one.outcome, wrong) for one in task.requirements)
-        return _meets(task, asked[place])
+        return _ratio(task, asked[place]) <= _MEETS
 
     def ratio(place: int) -> float:
-        """The largest ratio of a probability by the classifier to its target."""
+        """The largest ratio of a probability to its target, by the classifier if the place has not been asked for."""
         question = task.question.at(candidates[place])
-        return max(stripes.predicted(question, one.outcome).probability / one.target for one in task.requirements)
+        return _ratio(task, asked.get(place) or (stripes.predicted(question, one.outcome) for one in task.requirements))
 
     last = len(candidates) - 1
     if _is_line(task):
-        start = min(last, _first(len(candidates), last // 2, lambda place: ratio(place) <= 1.0))
+        start = min(last, _first(len(candidates), last // 2, lambda place: ratio(place) <= _MEETS))
         return DesignByStripes(task, candidates, asked, min(last, _first(len(candidates), start, meets)))
     while True:
-        # The classifier learns from each stripe.
-        ratios = {place: ratio(place) for place in range(last + 1)}
-        promising = (one for one in ratios if (meets(one) if one in asked else ratios[one] <= 1.0))
-        place = next(promising, min(ratios, key=lambda one: ratios[one]))
+        # The classifier learns from each stripe. The first that promises to meet the targets is the least so far.
+        ratios = [ratio(0)]
+        while ratios[-1] > _MEETS and len(ratios) <= last:
+            ratios.append(ratio(len(ratios)))
+        place = int(np.argmin(ratios))
         if place in asked:
             return DesignByStripes(task, candidates, asked, place)
         meets(place)

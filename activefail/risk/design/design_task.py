@@ -28,8 +28,9 @@ DEFAULT_FREE = "D_tot"
 BEARING_PERIOD = "T_b"
 """Variable of a bearing that gives the stiffness of its lateral force."""
 
-MOST_COMBINATIONS = 5000
-"""Most combinations of the values of free variables that are compared."""
+MOST_COMBINATIONS, MOST_SEARCHED = 5000, 100
+"""Most combinations of the values of free variables that are compared, and of choices beside a continuous variable,
+each of which is a search."""
 
 SIMULATIONS = 1000
 """Maximum number of fresh simulations for each target, by default."""
@@ -153,7 +154,11 @@ class DesignTask:
         allowed = [{**one, **held} for one in self.combinations(names) if self.allows({**one, **held})]
         if not allowed:
             raise InputError(f"constraints: no value of {', '.join(names)} meets them.")
-        return sorted(allowed, key=self.cost)
+        return sorted(allowed, key=self.rank)
+
+    def rank(self, values: Mapping[str, float]) -> float:
+        """The cost without the rounding of its last digits, in which equal costs may differ."""
+        return float(f"{self.cost(values):.9g}")
 
     @property
     def question(self) -> Question:
@@ -266,18 +271,20 @@ def design_task(
     names = tuple(free) or ((DEFAULT_FREE,) if DEFAULT_FREE in space.names else ())
     if not names:
         raise InputError(f"free: name the variables that may change; the campaign has {', '.join(space.names)}.")
+    ranges = {one.name: one for one in space.parameters}
     for name in names:
         if name not in space.names:
             raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
         if names.count(name) > 1:
             raise InputError(f"free: names {name!r} twice.")
+        if ranges[name].groups is not None:
+            raise InputError(f"free: {name} has the records of a set, which the designer cannot choose.")
         if PGV in {*question.space.names, *question.fixed} and name in (PERIOD, AMPLITUDE):
             raise InputError(
                 f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the bearing."
             )
     if set(question.space.names) <= set(names):
         raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
-    ranges = {one.name: one for one in space.parameters}
     low, high = {name: ranges[name].low for name in names}, {name: ranges[name].high for name in names}
     price, text = _cost(cost, names, question.fixed, space)
     for side in (low, high):
@@ -285,11 +292,12 @@ def design_task(
     stepped = {name: ranges[name] for name in names if ranges[name].step is not None}
     limits = stepped, space.constraints
     task = DesignTask(asked, low, high, price, text, requirements, confidence, simulations, rate, *limits)
-    compared = math.prod(len(stepped[name].values) for name in (stepped if task.is_finite else task.choices))
-    if len(names) > 1 and compared > MOST_COMBINATIONS:
+    several, most = (names, MOST_COMBINATIONS) if task.is_finite else (task.choices, MOST_SEARCHED)
+    compared = math.prod(len(stepped[name].values) for name in several)
+    if len(names) > 1 and compared > most:
         raise InputError(
-            f"free: the values of {', '.join(names)} must make at most {MOST_COMBINATIONS} combinations, got "
-            f"{compared}. Fix some variables."
+            f"free: the values of {', '.join(several)} must make at most {most} combinations, got {compared}. Fix some "
+            "variables."
         )
     return task
 

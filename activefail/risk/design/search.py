@@ -308,7 +308,7 @@ def cheapest(task: DesignTask, model: Model, aims: Array, held: Mapping[str, flo
 def _of_all(task: DesignTask, model: Model, aims: Array, held: Mapping[str, float]) -> Candidate:
     """The cheapest of finitely many designs, and of equally cheap ones the safest; the safest if none meets aims."""
     candidates, nearest = task.candidates(held), list[Candidate]()
-    for _, equal in itertools.groupby(candidates, key=task.cost):
+    for _, equal in itertools.groupby(candidates, key=task.rank):
         judged = []
         for values in equal:
             P = model(values, task.points // _COARSER)

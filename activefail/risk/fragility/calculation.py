@@ -73,7 +73,7 @@ def fragility(
         confidence=confidence,
         notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
         outcomes=outcomes,
-        terms=terms_of(campaign.simulator, fixed),
+        terms=terms_of(campaign.simulator, campaign.space.quantities(fixed)),
     )
     return findings if hazard is None else _under_hazard(findings, estimator, asked, hazard, ladder, stage)
 
