@@ -287,7 +287,7 @@ class ResultTable:
 
 
 def _unit(value: float) -> float:
-    """The unit of the last digit that is not zero, rounding moved a value by it at most: 0.01 of 33.74 and 33.740."""
+    """The unit of the last digit but zeros at the end, 0.01 of 33.74 and 33.740: rounding moves a value by less."""
     exponent = Decimal(repr(float(value))).normalize().as_tuple().exponent
     return 10.0**exponent if isinstance(exponent, int) else 0.0
 
