@@ -315,6 +315,15 @@ def test_a_campaign_without_a_pulse_has_no_such_page_and_no_link_to_it(tmp_path)
         assert ask(server, "verify", REQUEST).status == 404
 
 
+def test_a_capacity_with_choices_has_no_such_page(tmp_path):
+    text = SLIDING.replace("D_tot = { low = 0.2, high = 1.0,", "D_tot = { choices = [0.2, 0.6, 1.0],")
+    with served(
+        answers_of(Campaign.of(parse_settings(text, "sliding"), simulator=Sliding()), tmp_path / "run")
+    ) as server:
+        assert request(server, path="/").status == 200
+        assert request(server, path="/design").status == 404
+
+
 def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
     answers = answers_of(Campaign.of(parse_settings(SLIDING, "sliding"), simulator=Sliding()), tmp_path / "run")
     design = DesignAnswers(answers)
