@@ -317,7 +317,9 @@ def test_the_page_follows_the_campaigns_and_leads_to_each(folder, driver, width)
         assert visitor.driver.execute_script("return document.activeElement.textContent") == NAME
         pressed = "return document.activeElement.closest('tr').getAttribute('aria-busy')"
         visitor.driver.execute_script(
-            "document.activeElement.dispatchEvent(new MouseEvent('click', {bubbles: true, ctrlKey: true}))"
+            "document.addEventListener('click', (event) => event.ctrlKey && event.preventDefault());"
+            "const pressed = {bubbles: true, cancelable: true, ctrlKey: true};"
+            "document.activeElement.dispatchEvent(new MouseEvent('click', pressed))"
         )
         assert visitor.driver.execute_script(pressed) is None
         visitor.driver.execute_script("document.activeElement.click()")
