@@ -218,7 +218,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     if progress.looks is not None:
         parts.append(probability_text(progress.looks, bool(progress.unseen)))
     if progress.error is not None:
-        parts.append(f"error {progress.error.text}")
+        parts.append(f"error {progress.error.in_words[0]}")
     if progress.accuracy is not None:
         shares = ", ".join(f"{percent(share)} {name}" for name, share in progress.recall.items())
         parts.append(f"accuracy {percent(progress.accuracy)}, recall {shares}")

@@ -50,6 +50,11 @@ def significant(value: float, digits: int = 3) -> str:
     if 1e-3 <= abs(value) < 1e5:
         places = max(0, digits - 1 - int(f"{abs(value):e}".split("e")[1]))
         return f"{value:.{places}f}".replace("-", "−")
+    return power(value, digits)
+
+
+def power(value: float, digits: int) -> str:
+    """A number to significant digits, as a multiple of a power of ten."""
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     raised = str(int(exponent)).translate(RAISED)
     return f"{mantissa.replace('-', '−')}·10{raised}"

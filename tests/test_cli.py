@@ -657,7 +657,7 @@ def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Pat
 @pytest.mark.usefixtures("without_pictures")
 def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_compared(folder: Path) -> None:
     verified = activefail("verify", folder, "--simulations", "30")
-    error = re.search(r"error +(\d+\.\d\d %)", verified.out)
+    error = re.search(r"error +(\d+\.\d\d % \(.+? %\))", verified.out)
     assert error is not None
     assert activefail("compare", folder, "--budgets", "20,30", "--test", "50").code == 0
     result = activefail("report", folder)

@@ -112,7 +112,7 @@ def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, t
         assert run.export_table(tmp_path / "designs.csv") == 30
         assert run.predict_table(tmp_path / "designs.csv", tmp_path / "predicted.csv") == 0
         judged = run.report(tmp_path / "report.html").evidence.error
-        assert (judged.error, judged.low, judged.high) == (error.error, error.low, error.high)
+        assert judged == error.as_json()
         assert "failure" in (tmp_path / "report.html").read_text()
 
 

@@ -136,7 +136,7 @@ class Answers:
         # Choices have no axes.
         order = np.argsort(-findings.influence, kind="stable").tolist()
         ranking = [column for column in order if not self.space.parameters[column].choices]
-        presets = [("a design at the boundary", self._undecided)]
+        presets = [self._undecided]
         for row, _ in at_the_boundary(findings):
             text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {findings.ids[row]}"
             presets.append((text, findings.X[row]))
@@ -157,16 +157,21 @@ class Answers:
         }
 
     @property
-    def _undecided(self) -> Array:
-        """The design nearest to the middle of the space, (d,), of those whose outcome is most open."""
+    def _undecided(self) -> tuple[str, Array]:
+        """What the design at which the page starts is, and that design, (d,).
+
+        It is nearest to the middle of the space, of those whose outcome is most open.
+        """
         findings = self.findings
         X = np.concatenate([findings.pool, findings.X[findings.answered]])
         apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
-        X = X[apart <= max(_OPEN, float(apart.min()))]
+        least = float(apart.min())
+        X = X[apart <= max(_OPEN, least)]
         away = np.linalg.norm(self.space.to_unit(X) - 0.5, axis=1)
         # Few digits: the page shows them.
         rounded = [float(f"{value:.4g}") for value in X[np.argmin(away)].tolist()]
-        return np.asarray(self.space.nearest(np.clip([rounded], self.space.low, self.space.high))[0])
+        start = np.asarray(self.space.nearest(np.clip([rounded], self.space.low, self.space.high))[0])
+        return "a design at the boundary" if least <= _OPEN else "the least certain design", start
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""

@@ -136,7 +136,10 @@ const history = latest(async () => {
 }, "history");
 
 const failure = latest(async () => {
-  const { html, preset } = await ask("failure", {});
+  const { html, preset } = await ask("failure", {}).catch((error) => {
+    find("failure").firstElementChild.textContent = `No answer: ${error.message}`;
+    throw error;
+  });
   if (preset) {
     about.presets.push(preset);
     find("preset").add(new Option(preset.text, about.presets.length - 1), find("preset").length - 1);

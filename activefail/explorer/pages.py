@@ -44,5 +44,9 @@ class Site(Protocol):
         Raises InputError, StoreError.
         """
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether something runs in the background."""
+
     def close(self) -> None:
         """Stop what runs in the background."""

@@ -14,8 +14,9 @@ const news = latest(async () => {
   if (focused) [...place.querySelectorAll("a")].find((it) => it.getAttribute("href") === focused)?.focus();
 });
 
-// Opening a campaign for the first time takes a few seconds.
+// Opening a campaign for the first time takes a few seconds. A new tab opens it elsewhere.
 find("runs").addEventListener("click", (event) => {
+  if (event.ctrlKey || event.metaKey || event.shiftKey) return;
   event.target.closest("a")?.closest("tr").setAttribute("aria-busy", "true");
 });
 setInterval(() => document.hidden || news(), PAUSE);

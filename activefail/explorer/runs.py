@@ -22,6 +22,7 @@ from activefail.findings.status import Status, read_status
 from activefail.record.journal import is_being_written
 from activefail.record.layout import CHECKPOINT, JOURNAL, SETTINGS
 from activefail.shares import alike, interval_percent, percent
+from activefail.verification.scores import error_in_words
 from activefail.visible import or_worse, visible
 
 _MOST_OPEN = 8
@@ -49,7 +50,7 @@ Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 def _stamp(folder: Path) -> Stamp | None:
-    """What changes when a run folder does; None if it is none."""
+    """What changes when a run folder does; None if it is none: a user's file may be named as the settings are."""
     found: list[tuple[int, int, int] | None] = []
     for name in (SETTINGS, JOURNAL, CHECKPOINT, "segments"):
         try:
@@ -57,7 +58,8 @@ def _stamp(folder: Path) -> Stamp | None:
             found.append((of.st_mtime_ns, of.st_size, of.st_ino))
         except OSError:
             found.append(None)
-    return tuple(found) if any(found) else None
+    settings, journal, checkpoint, segments = found
+    return tuple(found) if journal or checkpoint or (settings and segments) else None
 
 
 class Curve(NamedTuple):
@@ -96,8 +98,8 @@ class Runs:
     def __init__(self, folder: Path, open_site: Callable[[Path], Site]) -> None:
         self.folder, self.open_site = folder, open_site
         self._reads: dict[Path, _Read] = {}
-        self._sites: dict[Path, tuple[Stamp | None, Site]] = {}
-        self._reading, self._opening = threading.Lock(), threading.Lock()
+        self._sites: dict[Path, tuple[Stamp | None, Site]] = {}  # the one asked last is the last
+        self._reading, self._opening, self._looking = threading.Lock(), threading.Lock(), threading.Lock()
 
     def page(self, path: str) -> str | None:
         """As `Site.page`."""
@@ -109,19 +111,38 @@ class Runs:
 
     def below(self, name: str, anew: bool) -> Site | None:
         """As `Site.below`."""
-        folder = next((one for one in run_folders(self.folder) if one.name == name), None)
-        if folder is None:
+        folder = self.folder / name
+        if folder not in self._reads and folder not in run_folders(self.folder):
             return None
-        with self._opening:
-            stamp, (former, site) = _stamp(folder), self._sites.pop(folder, (None, None))
-            if site is None or (anew and stamp != former):
-                if site is not None:
-                    site.close()
-                former, site = stamp, self.open_site(folder)
-            self._sites[folder] = former, site
-            while len(self._sites) > _MOST_OPEN:
-                self._sites.pop(next(iter(self._sites)))[1].close()
+        if (site := self._opened(folder, anew)) is not None:
             return site
+        # One at a time: it loads custom code. Those who ask an open campaign do not wait.
+        with self._opening:
+            if (site := self._opened(folder, anew)) is None:
+                stamp, site = _stamp(folder), self.open_site(folder)
+                with self._looking:
+                    self._sites[folder] = stamp, site
+                    idle = [one for one, (_, of) in self._sites.items() if one != folder and not of.is_busy]
+                    for one in idle[: max(0, len(self._sites) - _MOST_OPEN)]:
+                        self._sites.pop(one)[1].close()
+            return site
+
+    def _opened(self, folder: Path, anew: bool) -> Site | None:
+        """The open site of a run folder; None if there is none, or if it is idle, asked anew and its record changed."""
+        with self._looking:
+            stamp, site = self._sites.pop(folder, (None, None))
+            if site is None:
+                return None
+            if anew and stamp != _stamp(folder) and not site.is_busy:
+                site.close()
+                return None
+            self._sites[folder] = stamp, site
+            return site
+
+    @property
+    def is_busy(self) -> bool:
+        """As `Site.is_busy`."""
+        return any(site.is_busy for _, site in self._sites.values())
 
     def close(self) -> None:
         """Stop what runs in the background."""
@@ -161,7 +182,7 @@ class Runs:
 
 def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
     """What the table shows of a run folder; `most` is where the learning curves end."""
-    row = {"name": folder.name, "address": f"run/{quote(folder.name, safe='')}/", "fault": read.fault}
+    row = {"name": folder.name, "address": f"run/{quote(os.fsencode(folder.name), safe='')}/", "fault": read.fault}
     if (status := read.status) is None:
         return row | {"state": "unreadable", "can_open": False, "title": ""}
     summary, settings = status.summary, status.summary.settings
@@ -191,7 +212,7 @@ def _answer(status: Status) -> tuple[str, str]:
         return of, f"{probability} ({low} to {high})"
     if (error := status.error) is not None:
         of = f"verified error, {100.0 * error['confidence']:g} % interval"
-        return of, f"{percent(error['error'])} ({interval_percent(error['low'], error['high'], 1)})"
+        return of, error_in_words(error)[0]
     last = status.curve[-1] if status.curve else None
     if last is not None and last.probability is not None:
         probability, low, high = alike(*last.probability)

@@ -220,7 +220,8 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self._serve_page()
         except (InputError, StoreError) as error:
-            text = page("refused", reason=str(error))
+            home = "../../" if self.url.path.startswith("/run/") else ""
+            text = page("refused", reason=str(error), home=home)
             self._send(HTTPStatus.CONFLICT, "text/html; charset=utf-8", text.encode())
 
     def _place(self, path: str) -> "tuple[Site | None, str]":
@@ -229,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
         if of_campaign is None or of_campaign[2] in _FILES:
             return self.server.site, path if of_campaign is None else of_campaign[2]
         anew = self.command == "GET" and of_campaign[2] == "/"
-        return self.server.site.below(unquote(of_campaign[1]), anew), of_campaign[2]
+        return self.server.site.below(unquote(of_campaign[1], errors="surrogateescape"), anew), of_campaign[2]
 
     def _serve_page(self) -> None:
         site, path = self._place(self.url.path)

@@ -121,6 +121,11 @@ class CampaignSite:
     def below(self, name: str, anew: bool) -> None:
         """As `Site.below`: none."""
 
+    @property
+    def is_busy(self) -> bool:
+        """As `Site.is_busy`."""
+        return "_verifications" in vars(self) and self._verifications.is_running
+
     def close(self) -> None:
         """Stop the verification."""
         if "_verifications" in vars(self):

@@ -101,6 +101,11 @@ class Verifications:
         self._last = Verification(state="none")
         self._thread = threading.Thread()
 
+    @property
+    def is_running(self) -> bool:
+        """Whether one runs."""
+        return self._last.state == "running"
+
     def start(self, work: Callable[[Verification], dict[str, Any]]) -> dict[str, Any]:
         """Start a verification in a thread of its own; its progress.
 
@@ -108,7 +113,7 @@ class Verifications:
             InputError: if another one is running.
         """
         with self._lock:
-            if self._last.state == "running":
+            if self.is_running:
                 raise InputError("Another verification is running. Wait until it ends.")
             self._last = Verification()
             # The process does not wait for it.
@@ -128,6 +133,6 @@ class Verifications:
 
     def close(self) -> None:
         """Stop the running one, if any, and wait for its end."""
-        if self._last.state == "running":
+        if self.is_running:
             self._last.stop()
             self._thread.join()

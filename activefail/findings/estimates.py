@@ -402,13 +402,13 @@ class ErrorFindings(_Verified):
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
-        one = self.estimate
+        one, (text, basis) = self.estimate, self.estimate.in_words
         rows = [
             ("campaign", f"{self.learned} simulations, iteration {self.iteration}"),
-            ("error", f"{one.text} of the design space on the wrong side of the boundary of {self.boundary}"),
+            ("error", f"{text} of the design space on the wrong side of the boundary of {self.boundary}"),
             (
                 "",
-                f"{100 * one.confidence:g} % interval from {one.in_words}, {one.wrong} of them misclassified; the "
+                f"{100 * one.confidence:g} % interval from {basis}, {one.wrong} of them misclassified; the "
                 "error is their weighted share",
             ),
             ("expected", f"{percent(one.expected, 2)} by the classifier's own probabilities, without an interval"),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from activefail.loop.stop_rule import noted
 from activefail.record.journal import is_being_written
 from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
-from activefail.shares import alike, interval_percent, lognormal_interval, percent
+from activefail.shares import alike, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.verification.confidence_bounds import unseen_outcomes
-from activefail.verification.scores import CurvePoint, error_of, learning_curve
+from activefail.verification.scores import CurvePoint, error_in_words, fits, last_error, learning_curve
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"
@@ -132,7 +133,11 @@ class Status:
     @property
     def estimate(self) -> list[tuple[str, str]]:
         """Titles and texts of the verified error and of the probability, from fresh simulations or the classifier."""
-        lines = [] if self.error is None else [("error", error_in_words(self.error))]
+        lines = []
+        if self.error is not None:
+            text, basis = error_in_words(self.error)
+            of = f"of the design space with {100.0 * self.error['confidence']:g} % confidence"
+            lines = [("error", f"{text} {of}, {basis}")]
         if self.estimates:
             return [*lines, *(("estimate", self._estimated(outcome, of)) for outcome, of in self.estimates.items())]
         if not len(looks := self.saved.get("stop/looks", ())):
@@ -156,7 +161,6 @@ class Status:
             f"probability of {name}{under} {probability}, {interval}, from {of['simulations']} fresh "
             f"simulations; recall at least {percent(of['recall_low'])}"
         )
-        # Estimates of earlier versions have no modes.
         if modes := of.get("modes"):
             shares = ", ".join(f"{visible(mode)} {percent(one['failed'])}" for mode, one in modes.items())
             text += f"; share of the failures in which a mode has failed: {shares}"
@@ -216,13 +220,16 @@ def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:
     return "probability", outcome, digest
 
 
-def error_in_words(error: Mapping[str, Any]) -> str:
-    """A verified error with its interval, from its numbers in JSON."""
-    simulations, interval = error["simulations"], interval_percent(error["low"], error["high"])
-    requested = f"of {simulations + error['numerical_failures']} " if error["numerical_failures"] else ""
+def _is_estimate(value: Any) -> bool:
+    """Whether a kept value is an estimate that this version can show."""
+    numbers = ("probability", "low", "high", "confidence", "simulations", "recall_low", "contradictions_where_sure")
+    shape = dict.fromkeys(numbers, Real) | {"extrapolated": bool, "question": str | None, "check": dict | None}
     return (
-        f"{percent(error['error'], 2)} ({interval}) of the design space with {100.0 * error['confidence']:g} % "
-        f"confidence, {simulations} {requested}fresh simulations"
+        fits(value, shape)
+        and fits(value["check"] or {"contradictions": 0}, {"contradictions": int})
+        # Estimates of earlier versions have no modes.
+        and fits(modes := value.get("modes", {}), dict)
+        and all(fits(one, {"failed": Real}) for one in modes.values())
     )
 
 
@@ -242,7 +249,7 @@ def read_status(folder: Path) -> Status:
         saved, iteration = store.latest_state(), summary.iteration
         latest = saved[1] if saved is not None and saved[0] == iteration else {}
         recalled = {one: store.recall(estimate_of(one, store.digest)) for one in schema.outcomes[1:]}
-        estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
+        estimates = {visible(one): numbers for one, numbers in recalled.items() if _is_estimate(numbers)}
         return Status(
             folder,
             summary,
@@ -252,7 +259,7 @@ def read_status(folder: Path) -> Status:
             latest,
             estimates,
             noted(store),
-            store.recall(error_of(store.digest)),
+            last_error(store),
             learning_curve(store),
             is_being_written(folder),
         )

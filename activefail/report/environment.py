@@ -1,11 +1,12 @@
 """The environments of the pages' templates. All text of a page leaves through them, with escapes."""
 
+import math
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from activefail.shares import bounds_percent, interval_percent, percent, significant
+from activefail.shares import bounds_percent, interval_percent, percent, power, significant
 from activefail.visible import visible, words
 
 
@@ -20,8 +21,13 @@ def subscripts(text: str) -> Markup:
 
 
 def probability(p: float) -> str:
-    """A probability to two digits, never rounded to 0 or 1."""
-    return "< 0.01" if p < 0.005 else "> 0.99" if p > 0.995 else f"{p:.2f}"
+    """A probability, as `share` of common.js: a power of ten below 0.01, as many nines as it has above 0.99."""
+    rest = 1.0 - p
+    if p < 1e-6:
+        return "< 10⁻⁶"
+    if rest < 1e-6:
+        return "> 0.999999"
+    return power(p, 2) if p < 0.01 else f"{p:.{1 - math.floor(math.log10(rest)) if rest < 0.01 else 2}f}"
 
 
 def _shown(value: object) -> object:

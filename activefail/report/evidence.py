@@ -1,6 +1,6 @@
 """Evidence of a classifier's accuracy, read from the record for the report. The record is not changed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,9 +16,7 @@ from activefail.loop.learning import learn_from
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
-from activefail.verification.error import ErrorEstimate, verified
-from activefail.verification.probability_estimator import Estimator
-from activefail.verification.scores import Score, learning_curve, score
+from activefail.verification.scores import Score, last_error, learning_curve, score
 from activefail.verification.stored_sets import VALIDATION, set_name, sizes_of_test_sets, stored_set
 
 _BUDGETS = 5
@@ -104,13 +102,13 @@ class Evidence:
     """Evidence of a classifier's accuracy in a record.
 
     Attributes:
-        curve, reliability, error: None if the record has no data for it.
+        curve, reliability, error: None if the record has no data for it; `error` as its numbers in JSON.
         missing: the missing evidence, by section of the report.
     """
 
     curve: Curve | None
     reliability: Reliability | None
-    error: ErrorEstimate | None
+    error: Mapping[str, Any] | None
     missing: dict[str, str]
 
 
@@ -151,7 +149,7 @@ def evidence_of(
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
         missing["reliability"] = "a test set, or a complete initial design"
-    error = verified(Estimator(campaign, store, None, classifier, store.batches[-1].iteration), 0.9)
+    error = last_error(store)
     if error is None:
         missing["error"] = "a verification of the classifier's error"
     return Evidence(curve, reliability, error, missing)

@@ -45,6 +45,7 @@ from activefail.shares import choices_with_shares, significant
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.system import ByMargins
+from activefail.verification.scores import error_in_words
 from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
@@ -256,8 +257,10 @@ def _commands(findings: Findings, evidence: Evidence, done: int, risk: RiskFindi
     if (curve := evidence.curve) is not None and curve.source == "compare":
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in curve.scores}))
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {curve.test_size + curve.unanswered}")
-    if evidence.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}")
+    if (error := evidence.error) is not None:
+        asked = f"--simulations {error['simulations'] + error['numerical_failures']}"
+        asked += f" --confidence {error['confidence']:g}" if error["confidence"] != 0.9 else ""
+        commands.append(f"activefail verify {folder} {asked}")
     return [*commands, f"activefail report {folder}{f' {risk.request.options}' if risk else ''}"]
 
 
@@ -328,6 +331,7 @@ def render(
         "curve": _curve(findings, evidence.curve),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
+        "verified": evidence.error and error_in_words(evidence.error),
         "reliability": _reliability(findings, evidence.reliability),
         "scales": None if scales is None else _scales(findings, scales),
         "uncertain": _uncertain(findings),

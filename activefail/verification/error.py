@@ -15,19 +15,13 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.moments import Moments
 from activefail.verification.confidence_bounds import StratifiedCount
-from activefail.verification.scores import error_of, keep
-from activefail.verification.stored_sets import (
-    looks_before,
-    set_name,
-    stored_results,
-    verified_sizes,
-)
+from activefail.verification.scores import error_in_words, error_of, keep
+from activefail.verification.stored_sets import looks_before, set_name
 
 if TYPE_CHECKING:
     from activefail.verification.probability_estimator import Estimator
@@ -65,17 +59,9 @@ class ErrorEstimate:
     requested: int
 
     @property
-    def in_words(self) -> str:
-        """Number of fresh simulations with an outcome, and of all of them if some failed."""
-        if self.simulations == self.requested:
-            return f"{self.simulations} fresh simulations"
-        lost = self.requested - self.simulations
-        return f"{self.simulations} of {self.requested} fresh simulations ({lost} gave no result, which widens it)"
-
-    @property
-    def text(self) -> str:
-        """The error with its interval."""
-        return f"{percent(self.error, 2)} ({interval_percent(self.low, self.high)})"
+    def in_words(self) -> tuple[str, str]:
+        """The error with its interval, and what it rests on."""
+        return error_in_words(self.as_json())
 
     def as_json(self) -> dict[str, float | int]:
         """The estimate as JSON values; `docs/reference/json.md` describes the keys."""
@@ -247,19 +233,6 @@ def verify(estimator: "Estimator", simulations: int, confidence: float) -> Error
     error = _judged(estimator.campaign, plan, results, confidence)
     keep(estimator.store, error_of(estimator.store.digest), error.as_json())
     return error
-
-
-def verified(estimator: "Estimator", confidence: float) -> ErrorEstimate | None:
-    """The error verified at the last iteration, by a user or the stop rule; None if there is none.
-
-    It uses the largest stored set of fresh simulations and simulates nothing.
-    """
-    for simulations in verified_sizes(estimator.store, estimator.iteration):
-        plan = planned(estimator, simulations)
-        for name in _names(estimator, simulations):
-            if (results := stored_results(estimator.store, name, plan.designs)) is not None:
-                return _judged(estimator.campaign, plan, results, confidence)
-    return None
 
 
 def _names(estimator: "Estimator", simulations: int) -> tuple[str, str]:

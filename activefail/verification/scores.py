@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -114,7 +115,9 @@ def score(
 
 def score_of(row: Mapping[str, Any]) -> Score:
     """The score from its `asdict`."""
-    return Score(**{**row, "recall": {name: Recall(**one) for name, one in row["recall"].items()}})
+    numbers = {name: float(row[name]) for name in ("accuracy", "low", "high", "outcome_accuracy", "log_score")}
+    recall = {name: Recall(int(one["recalled"]), int(one["total"])) for name, one in row["recall"].items()}
+    return Score(**{**row, **numbers, "recall": recall})
 
 
 def recalls(outcomes: Sequence[str], predicted: NDArray[np.intp], outcome: NDArray[np.int8]) -> dict[str, Recall]:
@@ -138,6 +141,29 @@ def log_score(probability: Array) -> float:
 def error_of(digest: str) -> tuple[str, ...]:
     """What the last verified error is of, in a record with this digest."""
     return "error", digest
+
+
+def error_in_words(error: Mapping[str, Any]) -> tuple[str, str]:
+    """A verified error with its interval, and what it rests on, from its numbers in JSON."""
+    simulations, lost = error["simulations"], error["numerical_failures"]
+    requested = f" of {simulations + lost}" if lost else ""
+    widened = f" ({lost} gave no result, which widens it)" if lost else ""
+    text = f"{percent(error['error'], 2)} ({interval_percent(error['low'], error['high'])})"
+    return text, f"{simulations}{requested} fresh simulations{widened}"
+
+
+def last_error(store: Store) -> Mapping[str, Any] | None:
+    """The numbers of the error that was verified last, by a user or the stop rule; None unless it is of this record."""
+    numbers = dict.fromkeys(("error", "low", "high", "confidence"), Real)
+    value = store.recall(error_of(store.digest))
+    return value if fits(value, numbers | {"simulations": int, "numerical_failures": int}) else None
+
+
+def fits(value: Any, shape: Any) -> bool:
+    """Whether a kept value is of a type, or a dict with values of these shapes, by key; other versions' may not be."""
+    if isinstance(shape, dict):
+        return isinstance(value, dict) and all(key in value and fits(value[key], one) for key, one in shape.items())
+    return isinstance(value, shape)
 
 
 def keep(store: Store, of: tuple[str, ...], value: Any) -> None:
@@ -168,11 +194,22 @@ def remember_point(store: Store, iteration: int, point: CurvePoint) -> None:
 
 
 def learning_curve(store: Store) -> list[CurvePoint]:
-    """The kept points in order; none once a result was corrected, because they belong to the former results."""
+    """The kept points in order; none once a result was corrected, because they belong to the former results.
+
+    None either if one was not written by `remember_point`.
+    """
     if not store.batches or len(store.corrections.place):
         return []
     rows = (store.recall((_POINT, str(k))) for k in range(store.batches[-1].iteration + 1))
-    return [CurvePoint(n, score and score_of(score), p and (p[0], p[1], p[2])) for n, score, p in filter(None, rows)]
+    try:
+        return [_point(*row) for row in filter(None, rows)]
+    except (AttributeError, LookupError, TypeError, ValueError):
+        return []
+
+
+def _point(simulations: Any, score: Any, probability: Any) -> CurvePoint:
+    of = probability and (float(probability[0]), float(probability[1]), float(probability[2]))
+    return CurvePoint(int(simulations), score and score_of(score), of)
 
 
 _POINT = "learning curve"

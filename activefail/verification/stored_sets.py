@@ -58,11 +58,6 @@ def sizes_of_test_sets(store: Store) -> list[int]:
     return _numbers(store, r"test-(\d+)")
 
 
-def verified_sizes(store: Store, iteration: int) -> list[int]:
-    """Sizes of the sets that verify an iteration and have at least one stored part, the largest first."""
-    return _numbers(store, rf"(?:look|verification)-{iteration}-(\d+)")
-
-
 def estimate_sizes(store: Store, severity: int, iteration: int, question: str = "") -> list[int]:
     """Sizes of the sets that estimate a probability at an iteration, the largest first."""
     return _numbers(store, rf"{kind_of_estimate(question)}-{severity}-{iteration}-(\d+)")

@@ -3,6 +3,7 @@
 import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.cli.app import app
 from activefail.errors import InputError
+from activefail.explorer import answers as explorer_answers
 from activefail.findings.results import predict
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
@@ -149,6 +151,17 @@ def test_the_page_starts_at_a_design_whose_outcome_is_open(answers, findings):
     assert abs(beyond[0] - 0.5) <= 0.102
     assert all(value == float(f"{value:.4g}") for value in start)
     assert abs(beyond[0] - 0.5) < abs(beyond[1] - 0.5)
+
+
+def test_a_start_far_from_every_boundary_is_not_called_a_design_at_one(answers, findings, monkeypatch):
+    assert answers.about()["presets"][0]["text"] == "a design at the boundary"
+
+    def far(*given):
+        prediction = predict(*given)
+        return replace(prediction, beyond=0.1 * prediction.beyond)
+
+    monkeypatch.setattr(explorer_answers, "predict", far)
+    assert answers.about()["presets"][0]["text"] == "the least certain design"
 
 
 def test_a_plane_marks_every_simulated_design_and_pales_those_that_differ_in_the_other_variables(answers, findings):

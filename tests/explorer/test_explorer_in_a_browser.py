@@ -9,6 +9,9 @@ from patience import until
 from report.browser import NO_BROWSER, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
+from activefail.errors import InputError
+from activefail.explorer.site import CampaignSite, Slow
+
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 
 
@@ -207,6 +210,19 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height, "deviceScaleFactor": 1})
     photograph(driver, screenshots("explorer-phone.png", tmp_path))
     assert console_errors(driver) == []
+
+
+def test_a_question_that_fails_says_so_in_its_place(driver, answers):
+    def fail() -> None:
+        raise InputError("The code was moved.")
+
+    fresh(driver, 1400, 1000)
+    with served(answers) as running:
+        running.site = CampaignSite(answers, Slow(lambda: answers.findings.classifier, fail, lambda: None))
+        driver.get(running.address)
+        until(lambda: there(Visitor(driver), "#failure", "No answer: The code was moved."), "the reason")
+        assert not there(Visitor(driver), "#failure", "Computing")
+        driver.get("about:blank")
 
 
 def test_every_control_is_reached_by_the_tab_key(visitor):

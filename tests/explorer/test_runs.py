@@ -1,5 +1,6 @@
 """The page of all campaigns: what it says of each run folder, that it follows them, and that it opens each."""
 
+import os
 import shutil
 import threading
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 from campaign.stub import Disc, disc
 from explorer.conftest import Visitor, site_of, there
 from explorer.test_server import ask, request
-from patience import until
+from patience import PATIENCE, until
 from report.browser import NO_BROWSER, console_errors, fresh
 from report.test_report import ran
 
@@ -19,11 +20,12 @@ from activefail.explorer.answers import Answers
 from activefail.explorer.runs import Runs, run_folders
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import findings_of
-from activefail.findings.status import read_status
+from activefail.findings.status import estimate_of, read_status
 from activefail.loop.learning import current
 from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
 from activefail.surrogate.threads import one_thread
+from activefail.verification.scores import error_of
 
 NAME = "a <b> & 100 %"
 """Of a run folder; its address needs escapes."""
@@ -42,7 +44,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data[len(data) // 2] ^= 255
     journal.write_bytes(data)
     (folder / "old" / "segments").mkdir(parents=True)
-    (folder / "notes").mkdir()
+    (folder / "old" / "campaign.toml").touch()
+    (folder / "notes" / "segments").mkdir(parents=True)
+    (folder / "files").mkdir()
+    # A user's campaign file, beside the run folders and in a folder of its own.
+    for place in (folder, folder / "files"):
+        (place / "campaign.toml").touch()
     return folder
 
 
@@ -92,7 +99,120 @@ def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, fol
     assert 'href="run/a%20%3Cb%3E%20%26%20100%20%25/"' in text
     assert text.count("<svg") == 1
     assert run_folders(folder / NAME) == []
-    assert "notes" not in shown
+
+
+ESTIMATE = dict.fromkeys(
+    ("probability", "low", "high", "confidence", "simulations", "recall_low", "contradictions_where_sure"), 0.5
+) | {"extrapolated": False, "question": None, "check": None}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("error", "x"),
+        ("error", {"error": 0.1, "low": 0.0, "high": 0.2, "confidence": 0.9, "simulations": 20}),
+        ("estimate", {"a": 1}),
+        ("estimate", ESTIMATE | {"check": {"simulations": 3}}),
+        ("estimate", ESTIMATE | {"modes": {"sliding": 0.5}}),
+        ("curve", [8, {"foo": 1}, None]),
+        ("curve", [8, None, ["a", "b", "c"]]),
+        ("curve", 5),
+    ],
+)
+def test_a_kept_result_of_a_shape_that_this_version_does_not_write_is_left_out(runs, folder, key, value):
+    campaign = disc()
+    with FolderStore.open(folder / NAME, campaign.schema, write=True) as store:
+        of = {
+            "error": error_of(store.digest),
+            "estimate": estimate_of(campaign.simulator.outcomes[-1], store.digest),
+            "curve": ("learning curve", str(store.batches[-1].iteration)),
+        }
+        store.remember(of[key], value)
+    status = read_status(folder / NAME)
+    assert (status.error, status.estimates, len(status.curve) > 1) == (None, {}, key != "curve")
+    assert not {"error", "estimate"} & set(dict(status.lines))
+    assert rows(runs)[NAME]["state"] == "finished"
+
+
+def test_a_kept_estimate_is_shown_as_it_was_written(folder):
+    campaign = disc()
+    with FolderStore.open(folder / NAME, campaign.schema, write=True) as store:
+        store.remember(estimate_of(campaign.simulator.outcomes[-1], store.digest), ESTIMATE)
+    assert [*read_status(folder / NAME).estimates.values()] == [ESTIMATE]
+
+
+def test_a_folder_whose_name_is_no_text_has_a_row_and_a_page(folder):
+    name = os.fsdecode(b"run\xff")
+    (folder / "stopped").rename(folder / name)
+    with ExplorerServer("127.0.0.1", 0, Runs(folder, site_below)) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        text = request(server).text
+        assert 'href="run/run%FF/"' in text
+        assert r"run\udcff" in text
+        assert request(server, path="/run/run%FF/").status == 200
+        server.shutdown()
+        thread.join()
+
+
+class Stub:
+    """A site that does nothing."""
+
+    def __init__(self) -> None:
+        self.is_busy, self.closed = False, 0
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_who_asks_an_open_campaign_does_not_wait_while_another_opens(folder):
+    opening, may_end = threading.Event(), threading.Event()
+
+    def open_site(path: Path) -> Stub:
+        if path.name == "stopped":
+            opening.set()
+            assert may_end.wait(PATIENCE)
+        return Stub()
+
+    runs = Runs(folder, open_site)
+    first = runs.below(NAME, anew=True)
+    other = threading.Thread(target=runs.below, args=("stopped", True))
+    other.start()
+    assert opening.wait(PATIENCE)
+    answered = []
+    asking = threading.Thread(target=lambda: answered.append(runs.below(NAME, anew=False)), daemon=True)
+    asking.start()
+    asking.join(PATIENCE / 2)
+    may_end.set()
+    other.join()
+    assert answered == [first]
+
+
+def test_of_too_many_open_campaigns_the_idle_one_asked_longest_ago_is_closed(folder, monkeypatch):
+    monkeypatch.setattr(all_runs, "_MOST_OPEN", 2)
+    runs = Runs(folder, lambda path: Stub())
+    one, two = runs.below(NAME, anew=True), runs.below("stopped", anew=True)
+    one.is_busy = True
+    (folder / NAME / "journal").touch()
+    assert runs.below(NAME, anew=True) is one
+    assert runs.below("stopped", anew=False) is two
+    three = runs.below("damaged", anew=True)
+    assert [site.closed for site in (one, two, three)] == [0, 1, 0]
+    one.is_busy = False
+    runs.below("old", anew=True)
+    assert [site.closed for site in (one, two, three)] == [1, 1, 0]
+    assert runs.below("../all", anew=True) is None
+
+
+def test_a_request_of_an_open_campaign_lists_no_folders(folder, monkeypatch):
+    runs = Runs(folder, lambda path: Stub())
+    runs.page("/")
+    monkeypatch.setattr(all_runs, "run_folders", lambda _: pytest.fail("listed"))
+    assert runs.below(NAME, anew=False) is not None
+
+
+def test_an_emptied_folder_has_no_campaigns(tmp_path):
+    assert "0 campaigns.</p>" in Runs(tmp_path, site_below).page("/")
 
 
 def test_new_simulations_and_new_run_folders_appear_and_an_unchanged_folder_is_not_read_again(
@@ -171,6 +291,7 @@ def test_a_campaign_is_opened_once_and_again_when_its_record_has_changed(folder)
         refused = request(server, path="/run/damaged/")
         assert refused.status == 409
         assert "others follow it" in refused.text
+        assert 'href="../../"' in refused.text
         assert refused.headers["Content-Type"].startswith("text/html")
         server.shutdown()
         thread.join()
@@ -194,6 +315,13 @@ def test_the_page_follows_the_campaigns_and_leads_to_each(folder, driver, width)
         create_folder(folder / "newer", disc()).close()
         until(lambda: there(visitor, "th", "newer"), "the new run folders")
         assert visitor.driver.execute_script("return document.activeElement.textContent") == NAME
+        pressed = "return document.activeElement.closest('tr').getAttribute('aria-busy')"
+        visitor.driver.execute_script(
+            "document.addEventListener('click', (event) => event.ctrlKey && event.preventDefault());"
+            "const pressed = {bubbles: true, cancelable: true, ctrlKey: true};"
+            "document.activeElement.dispatchEvent(new MouseEvent('click', pressed))"
+        )
+        assert visitor.driver.execute_script(pressed) is None
         visitor.driver.execute_script("document.activeElement.click()")
         until(lambda: driver.find_elements("css selector", "#plane svg"), "the campaign's page")
         visitor.one("nav a").click()

@@ -13,7 +13,7 @@ from activefail.findings.status import read_status
 from activefail.loop.learning import accuracy, current
 from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
-from activefail.report.evidence import curve_of
+from activefail.report.evidence import curve_of, evidence_of
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import verify
 from activefail.verification.probability_estimator import Estimator
@@ -43,6 +43,10 @@ def test_a_campaign_is_running_while_a_process_writes_then_stopped_and_at_its_bu
         assert store.recall(("error", store.digest)) is None
         learned = current(campaign, store, write=False)
         error = verify(Estimator(campaign, store, executor, learned.classifier, learned.iteration), 40, 0.9)
+        assert evidence_of(campaign, store, learned.classifier).error == error.as_json()
+        # The report says what `status` says, also of a smaller set at another confidence.
+        error = verify(Estimator(campaign, store, executor, learned.classifier, learned.iteration), 20, 0.8)
+        assert evidence_of(campaign, store, learned.classifier).error == error.as_json()
         designs = stored_set(store, VALIDATION)
         assert designs is not None
         last = accuracy(learned.classifier, campaign.severity, *designs)
@@ -54,7 +58,7 @@ def test_a_campaign_is_running_while_a_process_writes_then_stopped_and_at_its_bu
     after = read_status(folder)
     assert after.state == "finished"
     assert after.as_json()["error"] == error.as_json()
-    assert dict(after.lines)["error"].startswith(error.text)
+    assert dict(after.lines)["error"].startswith(error.in_words[0])
     scores = [point.score for point in after.curve]
     assert scores[-1] is not None
     assert scores[-1].accuracy == last

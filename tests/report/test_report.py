@@ -33,7 +33,7 @@ from activefail.loop.progress import Observer
 from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.run_folder import FolderStore
-from activefail.report import evidence, page
+from activefail.report import environment, evidence, page
 from activefail.shares import significant
 from activefail.surrogate.threads import one_thread
 from activefail.verification.scores import Recall, Score
@@ -158,6 +158,24 @@ def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
     policies = [a["content"] for tag, a in parsed.elements if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
     assert html.count("<figure") == html.count("<figcaption") >= 10
+
+
+@pytest.mark.parametrize(
+    ("p", "text"),
+    [
+        (0.0, "< 10⁻⁶"),
+        (2.34e-5, "2.3·10⁻⁵"),
+        (0.004, "4.0·10⁻³"),
+        (0.01, "0.01"),
+        (0.5, "0.50"),
+        (0.99, "0.99"),
+        (0.9964, "0.9964"),
+        (0.999937, "0.999937"),
+        (1.0, "> 0.999999"),
+    ],
+)
+def test_a_probability_in_a_table_is_never_rounded_to_0_or_1(p, text):
+    assert environment.probability(p) == text
 
 
 def test_a_campaign_named_script_shows_as_text(html):

@@ -45,11 +45,9 @@ _IMAGINED = len(LOOKS) + 1
 _LEAST = 1e-12
 """Least probability whose logarithm is taken."""
 
-_HALVES, _LAST_HALVES, _OFF, _LEAST_AIM = 1.3, 2.1, 0.025, 0.2
+_HALVES, _OFF, _LEAST_AIM = 1.3, 0.025, 0.2
 """Distance of an aim from its target: half widths of the interval, which are wider where the classifier errs more than
-it expects; more of them in the last look if nothing is verified, so that it fails in one case of twenty (its half width
-is 2.3 standard deviations, its estimate has one and the correction by the look before 1.2); a share of the target, for
-the classifier's own error; and least aim over its target."""
+it expects, and a share of the target, for the classifier's own error; and least aim over its target."""
 
 WORTH = 0.05
 """Least share of the cost that a smaller design must promise to save for a further look."""
@@ -231,8 +229,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
 
     for number in range(len(LOOKS)):
         stage(f"searching for the design of look {number + 1}")
-        halves = _HALVES if verified or number + 1 < len(LOOKS) else _LAST_HALVES
-        aims = np.maximum((1.0 - _OFF) * task.targets - halves * half_widths(number), _LEAST_AIM * task.targets)
+        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(number), _LEAST_AIM * task.targets)
         if looks:
             found = np.array([estimate.probability for estimate in looks[-1].estimates])
             aims = _corrected(aims, looks[-1].candidate.model, found)
