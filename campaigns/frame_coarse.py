@@ -119,7 +119,11 @@ def features(X, space):
     start = np.cumsum([0, *map(len, strong)])
     dt, unit = (np.array([getattr(one, name) for one in motions]) for name in ("dt", "peak_velocity"))
     designs = space.table(X, OF_DESIGN)
-    fixed = tuple(space.table(X[:1], QUANTITIES)[0].tolist())
+    values = space.table(X, QUANTITIES)
+    for name, column in zip(QUANTITIES, values.T, strict=True):
+        if (column != column[0]).any():
+            raise ValueError(f"the coarse model requires one value of {name}; it is no variable of these features")
+    fixed = tuple(values[0].tolist())
     out = np.empty(len(X))
     capacities(np.concatenate(strong), start, dt, 1.0 / unit, np.asarray(which), designs, fixed, out)
     pgv = np.log(designs[:, 4])

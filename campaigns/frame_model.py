@@ -22,6 +22,7 @@ Where to begin with a frame of your own: replace `build`, and keep `settle`, `sh
 
 import json
 import math
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -95,8 +96,8 @@ def superstructure_period(d):
 def plastic_moments(d):
     """Of beams and columns [N m].
 
-    All beams and the columns' bases yield under a triangular load whose base shear is Cy times the weight above the
-    isolators; columns are stronger than beams by `column_ratio`.
+    All beams and the columns' bases yield under a triangular load whose base shear is Cy times the weight of
+    the floors above the base; columns are stronger than beams by `column_ratio`.
     """
     levels = np.arange(1, d.storeys + 1)
     overturning = d.Cy * d.storeys * d.floor_mass * G * d.storey_height * (levels**2).sum() / levels.sum()
@@ -387,7 +388,8 @@ def main(words):
     try:
         answer = json.dumps(run(json.loads(Path(words[0]).read_text(encoding="utf-8"))))
     except (OSError, ValueError, RuntimeError, AttributeError) as error:
-        sys.exit(f"frame_model.py: {error}.")
+        print(f"frame_model.py: {error}.", file=sys.stderr, flush=True)
+        os._exit(1)  # OpenSees would write a last line of its own
     if len(words) == 2:
         Path(words[1]).write_text(answer + "\n", encoding="utf-8")
     else:

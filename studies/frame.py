@@ -42,7 +42,7 @@ CAMPAIGN = ROOT / "campaigns" / "frame.toml"
 PICTURE = ROOT / "docs" / "images" / "frame.png"
 
 WRONG, RECORDS, HOURS = 0.01, 44, 2.0
-P695 = 28 * 6
+USUAL = 28 * 6
 """Runs a design: 28 motions at six intensities."""
 
 MCE = 1.3
@@ -378,7 +378,7 @@ def picture(rows):
     n = np.arange(1, len(DESIGNS) + 1)
     total = np.array([60 + np.cumsum([row["runs"] for row in rows.of(part="question", seed=seed)]) for seed in seeds])
     figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
-    axes.plot(n, P695 * n, "s--", color="0.35", label="FEMA P695: 28 motions, 6 intensities")
+    axes.plot(n, USUAL * n, "s--", color="0.35", label="a usual study: 28 motions, 6 intensities")
     axes.plot(n, RECORDS * n, "^-.", color="C0", label="all 44 records at the MCE")
     axes.plot(n, np.median(total, axis=0), "o-", color="C3", label="activefail: 60 runs, then the doubtful records")
     axes.fill_between(n, total.min(axis=0), total.max(axis=0), color="C3", alpha=0.25, linewidth=0)
