@@ -31,6 +31,7 @@ _LONGEST_HEADER = 1_000_000
 _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
 """How a formula begins, also in full-width characters."""
 
+_DECIMAL_POINT = re.compile(r"\s*[+-]?\d*\.\d")
 _DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$")
 """A number as spreadsheets of many countries write it, in tables whose columns are separated by semicolons."""
 
@@ -380,7 +381,7 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
             or a row has another number of cells than the header.
     """
-    (path, name), lines = source, None
+    (path, name), lines, points, commas = source, None, False, False
     rows: list[list[str]] = []
     places: list[str] = []
     try:
@@ -398,7 +399,13 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):
                 if separator == ";":
-                    cells = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
+                    points = points or any(map(_DECIMAL_POINT.match, cells))
+                    numbers = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
+                    commas, cells = commas or numbers != cells, numbers
+                    if points and commas:
+                        raise InputError(
+                            f"{name}: line {lines.line_num}: numbers have decimal points and decimal commas."
+                        )
                 # A spreadsheet adds empty rows and columns.
                 while len(cells) > len(columns) and not cells[-1].strip():
                     cells.pop()

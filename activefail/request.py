@@ -148,6 +148,11 @@ class Request(Generic[F_co]):
     writes: ClassVar[bool] = True
     """Whether it simulates or saves, so that the run folder is opened for writing."""
 
+    @classmethod
+    def is_written(cls, words: Mapping[str, Any]) -> bool:
+        """Whether a command with these words opens the run folder for writing."""
+        return cls.writes
+
     table: ClassVar[str] = ""
     """What the table of `--csv` holds; empty if there is none."""
 

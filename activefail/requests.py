@@ -505,6 +505,8 @@ class IdaRequest(Request["IdaFindings"]):
         ground, records = Ground(), self.records
         if run is not None and by_campaign:
             name, campaign = run.folder.name, run.campaign
+            if not run.writes:
+                raise InputError("run: must be open for writing, because the simulations join its record.")
             run._check_initial_design()
         elif self.simulator is not None:
             name, campaign = campaign_of(self.simulator)
@@ -535,13 +537,18 @@ class IdaRequest(Request["IdaFindings"]):
             with nullcontext(self.executor) if self.executor else pool:
                 return analysis(CampaignSubject(name, campaign, ground, values, pool), records, *about)
         except KeyboardInterrupt:
-            kept = "nothing is kept without --out" if folder is None else "the same command continues"
+            is_kept = folder is not None or by_campaign
+            kept = "the same command continues" if is_kept else "nothing is kept without --out"
             raise KeyboardInterrupt(kept) from None
 
     def write_pages(self, findings: "IdaFindings", run: "Run | None", out: Path) -> list[Path]:
         from activefail.report.analyses import write_ida
 
         return write_ida(findings, out)
+
+    @classmethod
+    def is_written(cls, words: "Mapping[str, Any]") -> bool:
+        return not words.get("pulses")
 
 
 ida = function_of("ida", IdaRequest)

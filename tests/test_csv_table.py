@@ -60,6 +60,7 @@ BAD = {
     ),
     "missing column": ("a,c\n1,2\n", "column 'b': required, but missing; the required columns are a,b"),
     "thousands": ("a;b\n1;2.000,5\n", "row 1 (line 2), column b: must be a number, got '2.000,5'"),
+    "points and commas": ("a;b\n1,5;2\n1.5;2\n", "line 3: numbers have decimal points and decimal commas"),
     "column twice": ("a,b,a\n1,2,3\n", "column 'a': must occur only once, occurs 2 times"),
     "column that will be written": (
         "a,answer,b\n1,2,3\n",

@@ -589,8 +589,8 @@ class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: simulations of the initial design, a Latin hypercube. The default is half of a budget below 250. With
-            `stop.probability` and a custom simulator it is twice the number of variables, at least 12.
+        initial: size of the initial design, a Latin hypercube. By default half of a budget below 250 of the file.
+            With `stop.probability` and a custom simulator it is twice the number of variables, at least 12.
         budget: all simulations.
         batch: designs in a batch, which use as many cores; in an asynchronous campaign, in flight at a time. With
             `stop.probability` and a custom simulator 1 by default.

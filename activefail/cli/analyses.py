@@ -51,7 +51,9 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
             raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
         given = {word for word in words if getattr(context.get_parameter_source(word), "name", "") != "DEFAULT"}
         values = {one.name: _value(one.name, words, of, out, one.name in given) for one, of in options(request)}
-        run_or_none = nullcontext() if folder is None else opened_run(folder, write=request.writes, code=code)
+        run_or_none = (
+            nullcontext() if folder is None else opened_run(folder, write=request.is_written(words), code=code)
+        )
         with run_or_none as run:
             with progress_bar(request.counts) if request.counts else nullcontext(uncounted) as begin:
                 asked = request(**values, begin=begin, stage=show_stage)

@@ -151,5 +151,7 @@ def evidence_of(
         missing["reliability"] = "a test set, or a complete initial design"
     error = last_error(store)
     if error is None:
-        missing["error"] = "a verification of the classifier's error"
+        missing["error"] = (
+            "a verification of the classifier's error; `activefail verify` also reads what it once simulated"
+        )
     return Evidence(curve, reliability, error, missing)

@@ -536,6 +536,19 @@ def test_levels_begin_at_a_prediction_and_bracket_the_capacity() -> None:
     assert again.runs == found.runs
 
 
+@pytest.mark.parametrize("start", [0.5, 1.0, 1.2, 1.6, 4.0])
+def test_runs_without_an_outcome_near_a_capacity_do_not_hide_it(start: float) -> None:
+    def simulate(runs: Runs) -> Answers:
+        levels = np.array([level for _, level in runs])
+        outcome = np.where(levels < 1.3, 0, 2).astype(np.int8)
+        outcome[((levels > 1.08) & (levels < 1.12)) | ((levels > 1.3) & (levels < 1.37))] = NUMERICAL_FAILURE
+        return Answers(outcome, np.zeros(len(levels), dtype=bool))
+
+    none = np.empty(0), np.empty(0, dtype=np.int8)
+    found = capacities_near(simulate, [none], np.array([start]), (0.25, 4.0), 2)
+    assert found.below[0] < 1.3 < found.capacity[0] < 2.0
+
+
 @pytest.mark.parametrize(("to", "reached", "advice"), [("0.05", 0, "Raise"), ("1e6", 8, "Lower")])
 def test_a_set_of_which_all_survive_or_fail_at_every_level_has_no_curve_and_says_so(
     case: Path, to: str, reached: int, advice: str

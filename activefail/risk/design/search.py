@@ -236,7 +236,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         candidate = cheapest(task, model, aims)
         if candidate.is_feasible:
             # The search's integrals have few points; how far off they are hardly depends on the design.
-            candidate = cheapest(task, model, aims * candidate.model / np.maximum(exact(candidate), _LEAST))
+            of_search = np.maximum(candidate.model, _LEAST)
+            candidate = cheapest(task, model, aims * of_search / np.maximum(exact(candidate), _LEAST))
         if verified:
             least = min(verified)[0]
             if not candidate.is_feasible or least - task.cost(candidate.values) <= WORTH * abs(least):
@@ -281,7 +282,9 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
     model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
     for confidence in _CONFIDENCES:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
-        candidate = cheapest(task, model, _corrected(task.targets, look.candidate.model, highs), held)
+        aims = _corrected(task.targets, look.candidate.model, highs)
+        of_search = np.maximum(model(designed.values, task.points), _LEAST)
+        candidate = cheapest(task, model, aims * of_search / np.maximum(look.candidate.model, _LEAST), held)
         costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
     return costs
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.acquisition.population import finite
+from activefail.errors import InputError
 from activefail.loop.telling import add
 from activefail.risk.ida.capacity import Capacities, Simulate, capacities_near
 from activefail.risk.ida.simulations import CampaignSubject
@@ -31,12 +32,20 @@ def capacities_by_campaign(
         records: their number n.
         rungs: levels of the ladder, of which the lowest and highest count.
         severity: of the outcome that is sought, or a worse one.
+
+    Raises:
+        InputError: if a value lies outside the campaign's space.
     """
 
     def keep(X: Array, results: Results) -> None:
         add(run.campaign, run.store, X, results)
 
-    subject.keep = keep
+    for one in run.space.parameters:
+        if not one.choices and not one.contains(value := subject.values.get(one.name, one.low)):
+            raise InputError(f"{one.name}: {one.rule}, got {value:g}; the simulations join the campaign.")
+    level = run.space.parameters[run.space.names.index(subject.ground.level)]
+    rungs = np.clip(rungs, level.low, level.high)
+    subject.keep, subject.answered = keep, bool(run.history.answered.any())
     levels = np.geomspace(rungs[0], rungs[-1], _LEVELS)
     X = subject.designs([(k, level) for k in range(records) for level in levels.tolist()])
     latent = run.classifier.latents[severity - 1]

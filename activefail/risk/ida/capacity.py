@@ -202,10 +202,11 @@ def _next(
     while start in levels and below < start < above:
         start *= (1.0 + STEP) ** 0.3  # that level has no outcome, and steps must not lead back to it
     if start <= below:
-        step = 1.0 + STEP * 2.0 ** ((levels >= start) & (levels <= below)).sum() / 2.0
+        # Levels without an outcome count, so that steps grow beyond them.
+        step = 1.0 + STEP * 2.0 ** ((levels >= start) & (levels < above)).sum() / 2.0
         return None if below >= ends[1] else min(below * step, middle if above < np.inf else ends[1])
     if start >= above:
-        step = 1.0 + STEP * 2.0 ** ((levels >= above) & (levels <= start)).sum() / 2.0
+        step = 1.0 + STEP * 2.0 ** ((levels > below) & (levels <= start)).sum() / 2.0
         return None if above <= ends[0] else max(above / step, middle if below > 0.0 else ends[0])
     return min(start, ends[1])
 

@@ -186,7 +186,9 @@ class IdaFindings:
             if self.pulses is not None:
                 notes.append("The pulses and the reduced model have no vertical component.")
         if self.failed < count:
-            notes.append("Records without a capacity enter the fit as capacities above the highest level.")
+            notes.append(
+                "Records without a capacity enter the fit as capacities above the highest level that they survived."
+            )
         if at_lowest:
             notes.append(
                 f"{at_lowest} of the records have a capacity at or below the lowest level of the ladder, "
