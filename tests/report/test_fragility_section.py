@@ -211,7 +211,7 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--fixed", "bearing.toml"], "--bearing: requires --hazard."),
+        (["--fixed", "bearing.toml"], "--fixed: requires --hazard."),
         (["--hazard", "site.toml", "--target", "2"], "target: must be a probability between 0.001 and 0.9"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
     ],
