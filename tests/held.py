@@ -20,7 +20,7 @@ OPEN = "open"
 
 
 def hold(place: str, folder: Path, passing: int) -> None:
-    """Hold a function, like "activefail.comparison.static:learn_from", from its call after the first so many on."""
+    """Hold a function, like "activefail.loop.learning:learn_from", from its call after the first so many on."""
     module, _, names = place.partition(":")
     *path, name = names.split(".")
     owner: Any = importlib.import_module(module)

@@ -900,7 +900,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 @pytest.mark.faults
 def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_on(folder: Path) -> None:
     words = ("compare", folder, "--test", "10")
-    with holding("activefail.comparison.static:learn_from", *words) as running:
+    with holding("activefail.loop.learning:learn_from", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "activefail: stopped; recorded simulations are safe"
