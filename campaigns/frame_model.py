@@ -24,6 +24,7 @@ import json
 import math
 import os
 import sys
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -310,7 +311,7 @@ def shake(ops, d, acceleration, dt, step, history=None):
         if x >= d.D_tot and not touch:
             touch = abs(ops.nodeVel(floors[0], 1))
         peak = max(peak, x)
-        drift = max(drift, *(abs(above - below) / d.storey_height for below, above in zip(u, u[1:], strict=False)))  # noqa: RUF007
+        drift = max(drift, *(abs(above - below) / d.storey_height for below, above in pairwise(u)))
         lift = max(ops.nodeDisp(base, 2) - rest for base, rest in zip(bases, at_rest, strict=True))
         uplift = max(uplift, lift)
         if history is not None:

@@ -18,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "campaigns"))
 import frame_model as model
 
 
-def member_stiffness(E, A, I, L, k):  # noqa: E741 - the field's word
+def member_stiffness(E, A, inertia, L, k):
     """Of a member with rotational springs k at both ends, (6, 6) in its own axes: u, v, θ of either end.
 
     The springs enter by the flexibility of the two end rotations: L/(6EI) [[2, -1], [-1, 2]] + 1/k on its diagonal.
     """
-    S = np.linalg.inv(L / (6.0 * E * I) * np.array([[2.0, -1.0], [-1.0, 2.0]]) + np.eye(2) / k)
+    S = np.linalg.inv(L / (6.0 * E * inertia) * np.array([[2.0, -1.0], [-1.0, 2.0]]) + np.eye(2) / k)
     B = np.array([[0.0, 1.0 / L, 1.0, 0.0, -1.0 / L, 0.0], [0.0, 1.0 / L, 0.0, 0.0, -1.0 / L, 1.0]])
     along = np.array([-1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
     return B.T @ S @ B + E * A / L * np.outer(along, along)
@@ -37,10 +37,10 @@ def period_by_matrices(d, stiffness):
     K, mass = np.zeros((size, size)), np.ones(size)
     E, share = d.E, model.weights(d)
 
-    def add(first, last, A, I, L, upright):  # noqa: E741
+    def add(first, last, A, inertia, L, upright):
         # As frame_model: the hinge has 10 times 6 E I / L, and the member 1.1 times its own stiffness in return.
-        own = 6.0 * E * stiffness * I / L
-        k = member_stiffness(E, A, (1.0 + 1.0 / model.HINGE) * I * stiffness, L, model.HINGE * own)
+        own = 6.0 * E * stiffness * inertia / L
+        k = member_stiffness(E, A, (1.0 + 1.0 / model.HINGE) * inertia * stiffness, L, model.HINGE * own)
         turn = np.eye(6)
         if upright:
             turn[:2, :2] = turn[3:5, 3:5] = [[0.0, 1.0], [-1.0, 0.0]]
