@@ -239,5 +239,5 @@ while {[getTime] < $end - 1e-9 && $cause eq ""} {
 set margins [format {"peak_drift": %.17g, "displacement_ratio": %.17g, "uplift": %.17g, "touch_velocity": %.17g} \
     $drift [expr $peak / $D_tot] $uplift $touch]
 set answer [open $env(AF_OUT) w]
-puts $answer "{\"outcome\": \"[expr {$cause eq "" ? "safe" : "collapse"}]\", \"margins\": {$margins, \"troubled_steps\": $troubled.0}}"
+puts $answer "{\"outcome\": \"[expr {$cause eq "" ? "safe" : "collapse"}]\", \"cause\": \"$cause\", \"margins\": {$margins, \"troubled_steps\": $troubled.0}}"
 close $answer

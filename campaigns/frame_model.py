@@ -379,7 +379,7 @@ def respond(design, history=None, collapses=True):
 def run(design):
     """The answer of a design as a campaign reads it."""
     cause, peaks = respond(design)
-    return {"outcome": "collapse" if cause else "safe", "margins": peaks}
+    return {"outcome": "collapse" if cause else "safe", "cause": cause, "margins": peaks}
 
 
 def main(words):

@@ -285,6 +285,7 @@ def _simulator(
         "failing": spec.causes_that_mean("failure"),
         "impossible": spec.causes_that_mean("impossible"),
     }
+    lost["causes"] = ("", *spec.causes)
     decides = lost | {"levels": spec.levels_of_number, "system": spec.modes}
     match spec:
         case sections.PythonSimulatorSettings():

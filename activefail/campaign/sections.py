@@ -388,6 +388,7 @@ class OutcomeSettings(Section):
     Attributes:
         outcomes: two or three names, the least severe first.
         margins: names of the numbers that it returns besides the outcome.
+        causes: names of what may decide an outcome, such as a mechanism; an answer or a result may name one.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
         system: failure where `min(...)` or `max(...)` of the margins is at most 0
@@ -401,6 +402,7 @@ class OutcomeSettings(Section):
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
     margins: list[str] = Field([], max_length=100)
+    causes: list[str] = Field([], max_length=100)
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
     system: str | None = None
@@ -419,14 +421,15 @@ class OutcomeSettings(Section):
         return lost
 
     def causes_that_mean(self, meaning: Lost) -> tuple[int, ...]:
-        """Codes of the causes of lost runs that mean this; 0 is the simulator's own."""
-        names = {0: "numerical_failure"} | EXECUTION_CAUSES
+        """Codes of the causes of lost runs that mean this; those from 0 on are the simulator's own."""
+        # A run without a result may name one of the simulator's causes.
+        names = dict.fromkeys(range(1 + len(self.causes)), "numerical_failure") | EXECUTION_CAUSES
         if isinstance(self.lost, str):
             return tuple(names) if self.lost == meaning else ()
         by_cause = {str(cause): means for cause, means in self.lost.items()}
         return tuple(code for code, name in names.items() if by_cause.get(name, "unknown") == meaning)
 
-    @field_validator("outcomes", "margins")
+    @field_validator("outcomes", "margins", "causes")
     @classmethod
     def _are_names(cls, names: list[str]) -> list[str]:
         for name in names:
@@ -434,8 +437,8 @@ class OutcomeSettings(Section):
                 raise ValueError(f"must be identifiers, got {name!r}")
             if names.count(name) > 1:
                 raise ValueError(f"must differ from each other, got {name!r} twice")
-        if "numerical_failure" in names:
-            raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
+        for name in {"numerical_failure", *EXECUTION_CAUSES.values()}.intersection(names):
+            raise ValueError(f"{name!r} is reserved for simulations without an outcome")
         return names
 
     @field_validator("outcomes")

@@ -63,7 +63,8 @@ class CommandSimulator:
     The folder contains `design.json`, with the values of the variables and the fixed quantities, and the program's
     output (`stdout.txt`, `stderr.txt`). The command runs without a shell. In it, `{name}` is replaced by a value,
     `{here}` by the folder of the user's code, and `{out}` by the file to which the program writes its answer: a JSON
-    object with "outcome" and, optionally, "margins". The environment has the same: AF_HERE, AF_OUT, and AF_<name>.
+    object with "outcome" and, optionally, "margins" and "cause". The environment has the same: AF_HERE, AF_OUT, and
+    AF_<name>.
 
     The value of a variable with a set of records, such as `record`, is the path of a text file in the folder, with an
     acceleration [m/s²] in each line; `record_dt` is its interval [s], and `record_name` the name of the record.
@@ -73,7 +74,7 @@ class CommandSimulator:
         command: the program and its arguments.
         here: the value of `{here}`; None if the program may not be run.
         work: parent of the designs' folders.
-        outcomes, margins: the names that an answer may contain.
+        outcomes, margins, causes: the names that an answer may contain; the first cause is none.
         retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
@@ -99,6 +100,7 @@ class CommandSimulator:
     system: Callable[[Array], Array] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
+    causes: tuple[str, ...] = ("",)
     templates: tuple[str, ...] = ()
     copies: tuple[str, ...] = ()
     pattern: str | None = None
@@ -106,7 +108,6 @@ class CommandSimulator:
     cores: int = 1
     repeatable: bool = True
 
-    causes = ("",)
     releases_gil = False
     isolated = True
 
@@ -295,7 +296,7 @@ class CommandSimulator:
             answer = self._answer(folder, out)
         except UnusableAnswerError as error:
             raise UnusableAnswerError(f"{error}{said}") from None
-        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system)
+        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system, self.causes)
 
     def _answer(self, folder: Path, out: Path) -> object:
         """What the program wrote.

@@ -12,15 +12,15 @@ class ElsewhereSimulator:
     """The outcomes and margins of simulations that are made elsewhere: by hand, in a batch queue, in a laboratory.
 
     Attributes:
-        outcomes, margins: the names that a result may contain.
+        outcomes, margins, causes: the names that a result may contain; the first cause is none.
     """
 
     outcomes: tuple[str, ...]
     margins: tuple[str, ...]
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
+    causes: tuple[str, ...] = ("",)
 
-    causes = ("",)
     releases_gil = True
 
     def run(self, X: Array) -> Results:

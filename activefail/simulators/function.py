@@ -22,14 +22,14 @@ class PythonSimulator:
 
     It takes a dictionary with the values of the variables and the fixed quantities. The value of a variable with a set
     is the record, scaled (`activefail.accelerogram_sets.SetRecord`). It returns the name of the outcome, or a
-    dictionary with "outcome" and, optionally, "margins", a dictionary of numbers; or the only margin, if that has
-    levels. If it raises, only that simulation fails.
+    dictionary with "outcome" and, optionally, "margins", a dictionary of numbers, and "cause"; or the only
+    margin, if it has levels. If it raises, only that simulation fails.
 
     Attributes:
         space: design space.
         reference: the function, as "module:function".
         code: folder of its module and of those that it imports; None if it may not be run.
-        outcomes, margins: the names that an answer may contain.
+        outcomes, margins, causes: the names that an answer may contain; the first cause is none.
         source: digest required of its module, on any machine; "" accepts any (see `load_function`).
         folder: the run folder, from which no code is run.
         renew: most simulations per process; None means no limit.
@@ -48,8 +48,8 @@ class PythonSimulator:
     system: Callable[[Array], Array] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
+    causes: tuple[str, ...] = ("",)
 
-    causes = ("",)
     releases_gil = False
 
     def load(self) -> str:
@@ -93,7 +93,8 @@ class PythonSimulator:
                 # The user's code raised it: only this simulation fails, not the campaign.
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
             seconds = time.perf_counter() - began
-            answers.append(read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system))
+            names = self.outcomes, self.margins, self.levels
+            answers.append(read_answer(answer, *names, seconds, self.system, self.causes))
         return Results.concatenate(answers)
 
 

@@ -49,17 +49,19 @@ def read_answer(
     levels: tuple[float, ...],
     seconds: float,
     system: Callable[[Array], Array] | None = None,
+    causes: tuple[str, ...] = ("",),
 ) -> Results:
     """The result of one design, from what a custom simulator returned.
 
     Args:
-        answer: the outcome, a table with "outcome" and "margins", the only margin as a number, or the margins of a
-            system by name.
+        answer: the outcome, a table with "outcome", "margins" and "cause", the only margin as a number, or the margins
+            of a system by name.
         outcomes, margins: names that it may contain.
         levels: values of the only margin at or below which each outcome but the first occurs; empty if a number is no
             answer.
         seconds: wall time.
         system: margins, (k,) -> the system's, at most 0 where it fails, NaN if they do not say; None without a system.
+        causes: names that it may contain; the first is none.
 
     Raises:
         UnusableAnswerError: if the answer breaks a rule.
@@ -72,11 +74,14 @@ def read_answer(
         answer = _of_system(answer.get("margins", answer), outcomes, margins, system)
     if not isinstance(answer, Mapping):
         raise UnusableAnswerError(f"{_ways(outcomes)}, got {answer!r}")
-    unknown = set(answer) - {"outcome", "margins"}
+    keys = "outcome", "margins", "cause"
+    unknown = set(answer) - {*keys}
     if unknown:
-        raise UnusableAnswerError(
-            f"the answer may contain only outcome and margins, got {sorted(map(str, unknown))[0]!r}"
-        )
+        raise UnusableAnswerError(f"the answer may contain only {', '.join(keys)}, got {min(map(str, unknown))!r}")
+    cause = answer.get("cause", "")
+    if not isinstance(cause, str) or cause not in causes:
+        named = ", ".join(causes[1:]) or "none"
+        raise UnusableAnswerError(f"cause: must be one of simulator.causes, which names {named}, got {cause!r}")
     outcome, margin_values = answer.get("outcome"), answer.get("margins", {})
     outcome = outcome.value if isinstance(outcome, Enum) else outcome
     # A subclass of str may override `==`; compare its characters.
@@ -86,7 +91,7 @@ def read_answer(
     values = _values(margin_values, margins)
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
-        np.zeros(1, dtype=np.int8),
+        np.array([causes.index(cause)], dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
     )

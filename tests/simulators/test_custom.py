@@ -128,12 +128,19 @@ def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
     assert answer(python(tmp_path, "plain"), X).outcome.tolist() == [1, 1, 1]
 
 
+def test_an_answer_may_name_one_of_the_causes(tmp_path: Path) -> None:
+    source = "def run(design):\n    return {'outcome': 'failure', 'cause': 'shear' if design['drift'] > 2.0 else ''}\n"
+    model = replace(python(tmp_path, source=source), causes=("", "bending", "shear"))
+    assert answer(model, X).cause.tolist() == np.where(X[:, 0] > 2.0, 2, 0).tolist()
+
+
 UNUSABLE = {
     "None": r"must be the name of an outcome \(safe, damage, failure\), or a dictionary with `outcome`, got None",
     "{}": "outcome: must be one of safe, damage, failure, got None",
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
-    "{'outcome': 'safe', 'margin': {}}": "may contain only outcome and margins, got 'margin'",
+    "{'outcome': 'safe', 'margin': {}}": "may contain only outcome, margins, cause, got 'margin'",
+    "{'outcome': 'safe', 'cause': 'shear'}": "cause: must be one of simulator.causes, which names none, got 'shear'",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a dictionary of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be one number, .*, got None",
