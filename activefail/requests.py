@@ -471,16 +471,15 @@ class IdaRequest(Request["IdaFindings"]):
     )
 
     of_run: ClassVar = Option(
-        "Run folder of a campaign under records: its simulator is used, its classifier says where each record begins, "
-        "and the simulations join its record. With --pulses: of a campaign under pulses, whose classifier predicts "
-        "each level.",
+        "Run folder of a campaign under records, which simulates, says where each record begins, and keeps the "
+        "simulations. With --pulses: of a campaign under pulses, whose classifier predicts each level.",
         Path,
         names=("--campaign",),
     )
     counts: ClassVar = "simulating"
     pages: ClassVar = (
-        "Folder for the page ida.html, ida.json, ida.csv, ida.png, ida.svg, and the simulations, so that the same "
-        "command continues after an interruption."
+        "Folder for the page ida.html, ida.json, ida.csv, ida.png, ida.svg, and the simulations: the same command "
+        "continues."
     )
 
     def answer(self, run: "Run | None" = None) -> "IdaFindings":

@@ -10,6 +10,7 @@ from typing import Any
 
 import typer
 
+from activefail.campaign.sections import BearingSettings
 from activefail.cli import app
 
 DOCS = Path(__file__).parent
@@ -25,6 +26,9 @@ for](../guide.md#campaigns). `python docs/commands.py` writes this page.
 Every command takes `-q` (`--quiet`) and `-v` (`--verbose`), which show [less or more](../guide.md#campaigns).
 
 """
+
+MODEL = [f"--{name.replace('_', '-')}" for name in BearingSettings.model_fields]
+"""Options that are keys of `[bearing]` in a campaign file, where they are explained."""
 
 
 def linked(text: str) -> str:
@@ -59,8 +63,10 @@ def command_section(name: str, command: Any, common: set[str]) -> str:
     lines = [f"## {name}", "", f"    {command.epilog.removeprefix('Example: ')}", "", linked(command.help), ""]
     if special := [row for row in rows if row not in common]:
         lines += [*special, ""]
-    if options := [f"`{rows[row]}`" for row in rows if row in common and rows[row].startswith("--")]:
-        lines += [f"Also: {', '.join(options)}.", ""]
+    names = [rows[row] for row in rows if row in common and rows[row].startswith("--")]
+    if options := [f"`{name}`" for name in names if name not in MODEL]:
+        model = "the options of [the bearing's model](#in-several-commands), " if MODEL[0] in names else ""
+        lines += [f"Also: {model}{', '.join(options)}.", ""]
     return "\n".join(lines)
 
 
@@ -70,9 +76,14 @@ def page() -> str:
     counts = Counter(row for name, command in commands.items() for row in command_rows(name, command).items())
     meanings = Counter(first for _, first in counts)
     # An option with several meanings is explained in each command.
-    common = [row for (row, first), count in counts.items() if count > 1 and (meanings[first] == 1 or first[0] != "-")]
+    common = {
+        row: first for (row, first), count in counts.items() if count > 1 and (meanings[first] == 1 or first[0] != "-")
+    }
+    explained = [row for row, first in common.items() if first not in MODEL]
+    names = ", ".join(f"`{name}`" for name in MODEL)
+    explained.append(f"- {names}: as the keys of [`[bearing]`](settings.md#bearing); also `--no-loss-of-confinement`.")
     sections = (command_section(name, command, set(common)) for name, command in commands.items())
-    return HEAD + "\n".join(common) + "\n\n" + "\n".join(sections)
+    return HEAD + "\n".join(explained) + "\n\n" + "\n".join(sections)
 
 
 if __name__ == "__main__":

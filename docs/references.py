@@ -11,8 +11,8 @@ HERE = Path(__file__).parent
 
 HEAD = """# References
 
-Every work that activefail cites, by its key. `python docs/references.py` writes this page from
-[references.bib](references.bib), which names all authors.
+Every work that activefail cites, by its key. [references.bib](references.bib) also has all authors, and the journal and
+pages of a work that is found by its DOI. `python docs/references.py` writes this page from it.
 
 """
 
@@ -37,6 +37,7 @@ def line(key: str, entry: dict[str, str]) -> str:
         if field in entry:
             place += (" " if field == "volume" else ", ") + entry[field].replace("--", "–")
     doi = entry.get("doi", "")
+    place = "" if doi else place
     link = f"[doi:{doi}](https://doi.org/{quote(doi, safe='/:;.()')})" if doi else ""
     parts = [part.rstrip(".") for part in (head, entry["title"], place, link, entry.get("note", "")) if part]
     return f'- <a id="{key}"></a>`{key}` {". ".join(parts)}.'

@@ -13,10 +13,9 @@ installed is left out. Finished campaigns are lines of --out and are not run aga
 Problems are in the unit cube, or in standard normal variables, and fail where their limit state is at most 0; or they
 are the bearing, with its features and 200 or 500 simulations, and the building. The same fresh designs score all
 methods of a problem, by --score: the share on the right side of the boundary, or the mean log probability of the true
-side. A cell of the table has the median over the seeds (least .. greatest) [% or hundredths of a nat]; the mean
-difference to the --reference of the same seed with its 95 % interval [points]; the number of seeds. The last rows have
-the worst mean difference of a problem and the worst difference of a seed, and the processor seconds of a campaign, as a
-median.
+side. A cell of the table has the median over the seeds [% or hundredths of a nat] and the mean difference to the
+--reference of the same seed with its 95 % interval [points]. The last rows have the worst mean difference of a problem
+and the worst difference of a seed, and the processor seconds of a campaign, as a median.
 """
 
 import math
@@ -208,8 +207,7 @@ def table(rows: Rows, problems: list[str], methods: list[str], reference: str, s
         own = {row["seed"]: 100.0 * row[score] for row in rows.of(problem=name, method=method)}
         if not own:
             return ""
-        values = np.array(list(own.values()))
-        text = f"{np.median(values):.1f} ({values.min():.1f} .. {values.max():.1f})"
+        text = f"{np.median(list(own.values())):.1f}"
         base = {row["seed"]: 100.0 * row[score] for row in rows.of(problem=name, method=reference)}
         ahead = np.array([own[seed] - base[seed] for seed in own if seed in base])
         if method != reference and len(ahead) > 2:
@@ -217,7 +215,7 @@ def table(rows: Rows, problems: list[str], methods: list[str], reference: str, s
             text += f"; {ahead.mean():+.1f} ({low:+.1f} .. {high:+.1f})"
             means[method].append(ahead.mean())
             least[method].append(ahead.min())
-        return f"{text}; {len(own)}"
+        return text
 
     lines = [
         [name, str(task(name).base.settings.sampling.budget), *(cell(name, m) for m in methods)] for name in problems

@@ -90,7 +90,6 @@ RUN = {
     "docs/fragility.md": "test_docs.py",
     "docs/hazard.md": "test_docs.py",
     "docs/reference/python.md": "test_docs.py",
-    "docs/reference/run-folder.md": "record/test_documented_format.py",
     "docs/sensitivity.md": "test_docs.py",
     "docs/tutorials/custom_simulator.md": "test_docs.py",
     "docs/tutorials/first_design.md": "test_docs.py",

@@ -84,9 +84,8 @@ class Variable(Section):
             whole number. Each has the probability of all values that are rounded to it.
         choices: texts or numbers without order, in place of bounds and distribution.
         probabilities: of the choices; equal if left out.
-        features: quantities that follow from the choice: a CSV file beside the campaign file, with the choices in the
-            column of the variable's name and a column of numbers for each quantity; or these numbers, as in
-            { mu = [0.03, 0.06, 0.1] }. activefail writes the numbers to run folders.
+        features: quantities that follow from the choice, from a CSV file beside the campaign file or as numbers
+            ([choices](../distributions.md#choices)). activefail writes the numbers to run folders.
         distribution: name of the distribution.
         mean: mean, before truncation.
         sd: standard deviation, before truncation.
@@ -312,9 +311,8 @@ class BearingSettings(Section):
         slider_diameter: D_sl [m], which Table 1 does not contain.
         restitution_coefficient: coefficient of restitution of the contacts, dish and rim, for two bodies of the mass in
             the damper; of the plate that hits a rim see `restitution`.
-        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate. A plate hits a
-            rim through the light slider, and rebounds with 0.89 of its speed (median) if "pairwise", with 0.57 if
-            "assembly" (`python studies/restitution.py`).
+        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate
+            ([contact](../bearing.md#contact)).
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
@@ -643,7 +641,7 @@ class PythonSettings(Section):
     """Custom code of the classifier or the acquisition: a function or class.
 
     Attributes:
-        python: the function; activefail looks for its module in the folder of the campaign file, then on Python's path.
+        python: the function or class, found like custom features.
     """
 
     python: _Reference

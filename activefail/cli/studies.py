@@ -36,8 +36,7 @@ def compare(
     seeds: Annotated[
         int | None,
         typer.Option(
-            help="Number of seeds of the campaign and the static designs; with a run folder, of the static designs "
-            "alone. By default 5 with a campaign file, 1 with a run folder.",
+            help="Number of seeds. Default: 5; with a run folder 1, of the static designs alone.",
             min=1,
             max=100,
         ),

@@ -1,4 +1,4 @@
-"""docs/reference/run-folder.md describes the files exactly: its own reader, which knows only the page, reads them."""
+"""docs/reference/run-folder.md describes the files exactly: run_folder.py, which knows only the page, reads them."""
 
 import ast
 import re
@@ -14,13 +14,14 @@ from activefail.record.batch import COLUMNS, columns_of
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import EXECUTION_CAUSES
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "run-folder.md").read_text(encoding="utf-8")
+FOLDER = Path(__file__).parents[2] / "docs" / "reference"
+PAGE = (FOLDER / "run-folder.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def reader() -> SimpleNamespace:
-    """The reader on the page."""
-    (source,) = re.findall(r"^```python\n(import hashlib.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    """The reader beside the page."""
+    source = (FOLDER / "run_folder.py").read_text(encoding="utf-8")
     imported = {
         name.split(".")[0]
         for node in ast.walk(ast.parse(source))
@@ -29,7 +30,7 @@ def reader() -> SimpleNamespace:
     }
     assert imported == {"hashlib", "json", "re", "pathlib", "numpy"}
     names: dict[str, object] = {}
-    exec(compile(source, "run-folder.md", "exec"), names)
+    exec(compile(source, "run_folder.py", "exec"), names)
     return SimpleNamespace(**names)
 
 
