@@ -505,7 +505,7 @@ def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() 
                 f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
                 f"space.{name}: {name!r} is already the name of a column that `activefail predict` adds; rename it.",
             )
-            for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+            for name in ("likeliest_outcome", "p_safe", "p_failure", "latent_mean", "latent_sd")
         ),
         *(
             (
