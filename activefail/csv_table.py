@@ -31,9 +31,8 @@ _LONGEST_HEADER = 1_000_000
 _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
 """How a formula begins, also in full-width characters."""
 
-_DECIMAL_POINT = re.compile(r"\s*[+-]?\d*\.\d")
-_DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$")
-"""A number as spreadsheets of many countries write it, in tables whose columns are separated by semicolons."""
+_DECIMAL = re.compile(r"(\s*[+-]?(?=[.,]?\d)\d*)([.,])(\d*(?:[eE][+-]?\d+)?\s*)")
+"""A number with a decimal mark: a comma in many countries, whose spreadsheets separate columns by semicolons."""
 
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
@@ -381,7 +380,7 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
             or a row has another number of cells than the header.
     """
-    (path, name), lines, points, commas = source, None, False, False
+    (path, name), lines, decimal_marks = source, None, set[str]()
     rows: list[list[str]] = []
     places: list[str] = []
     try:
@@ -392,17 +391,16 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         # Spreadsheets write a byte order mark.
         encoding = "utf-16" if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
         with path.open(encoding=encoding, newline="") as file:
-            title = file.readline()
+            title = re.sub('"[^"]*"', "", file.readline())
             file.seek(0)
             separator = next((one for one in ";\t" if one in title and "," not in title), ",")
             lines = csv.reader(file, delimiter=separator, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):
                 if separator == ";":
-                    points = points or any(map(_DECIMAL_POINT.match, cells))
-                    numbers = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
-                    commas, cells = commas or numbers != cells, numbers
-                    if points and commas:
+                    decimal_marks |= {number[2] for number in map(_DECIMAL.fullmatch, cells) if number}
+                    cells = [_DECIMAL.sub(r"\1.\3", cell) if _DECIMAL.fullmatch(cell) else cell for cell in cells]
+                    if len(decimal_marks) > 1:
                         raise InputError(
                             f"{name}: line {lines.line_num}: numbers have decimal points and decimal commas."
                         )

@@ -398,9 +398,9 @@ class Run:
 
         Returns:
             One row for each design, in the given order and with the index of a DataFrame: the variables, the
-            probability `p_<outcome>` of each outcome, and mean and standard deviation of the latent of the target
-            boundary, `latent_mean` and `latent_sd`. The latent is positive where the outcome is probably beyond the
-            boundary.
+            `likeliest_outcome`, the probability `p_<outcome>` of each outcome, and mean and standard deviation of the
+            latent of the target boundary, `latent_mean` and `latent_sd`. The latent is positive where the outcome is
+            probably beyond the boundary.
 
         Raises:
             InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.

@@ -82,7 +82,7 @@ class TimedExecutor:
     def __init__(self):
         self.clock, self._designs = Clock(), []
 
-    def run(self, simulator, X, progress=None):
+    def run(self, simulator, X, arrived=None):
         self.clock.stop()
         results = simulator.run(X)
         self.clock.start()

@@ -178,7 +178,7 @@ class VirtualTime:
         """`duration`: a function of a design, (d,), and its results."""
         self._now, self._free, self._ends, self._duration = 0.0, [0.0] * workers, [], duration
 
-    def run(self, simulator, X, progress=None):
+    def run(self, simulator, X, arrived=None):
         """Simulate at once."""
         return simulator.run(X)
 

@@ -295,7 +295,7 @@ def test_the_run_folder_keeps_the_settings_with_the_command_lines_seed_and_budge
     result = activefail("run", tiny, "--out", tmp_path / "run", "--seed", "8", "--budget", "22", "--workers", "1")
     assert result.code == 0
     kept = read_settings(tmp_path / "run" / "campaign.toml")
-    assert kept == read_settings(tiny).with_overrides(seed=8, budget=22)
+    assert kept == read_settings(tiny, seed=8, budget=22)
     assert len(record(tmp_path / "run")) == 22
 
 
@@ -339,8 +339,8 @@ def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(
         ("seed = ", [], ["mine.toml: not valid TOML"]),
         ("sead = 1", [], ["mine.toml:", "sead: unknown key"]),
         ('acquisition.boundary = "collapse"', [], ["mine.toml", "boundary: must be one of impact, failure"]),
-        (TINY, ["--budget", "10"], ["command line", "`initial <= budget` must hold, got 20 and 10"]),
-        (TINY, ["--seed", "-1"], ["command line", "seed: must be greater than or equal to 0, got -1"]),
+        (TINY, ["--budget", "10"], ["mine.toml --budget 10:", "must hold, got initial = 20 and budget = 10"]),
+        (TINY, ["--seed", "-1"], ["mine.toml --seed -1:", "seed: must be greater than or equal to 0, got -1"]),
     ],
 )
 def test_a_campaign_with_a_mistake_is_refused_before_a_run_folder_is_made(

@@ -125,6 +125,13 @@ def test_a_table_is_read_however_a_spreadsheet_writes_it(
         assert rows(good)[1] == [[1.0, 2.0], [3.0, 4.0]]
 
 
+def test_between_semicolons_only_numbers_are_changed(table: Callable[[str | bytes], DesignTable]) -> None:
+    good = table('a;b;"part, kind"\n1,5;2,5;steel, welded\n-,5e1;3;,\n3;4;12.03.2026\n3;4; 1,5 \n')
+    assert good.header == ("a", "b", "part, kind")
+    assert rows(good)[1] == [[1.5, 2.5], [-5.0, 3.0], [3.0, 4.0], [3.0, 4.0]]
+    assert [row[2] for row in rows(good)[0]] == ["steel, welded", ",", "12.03.2026", " 1.5 "]
+
+
 def test_designs_are_in_the_order_asked_for_and_other_columns_are_kept_as_they_are(
     table: Callable[[str | bytes], DesignTable],
 ) -> None:

@@ -206,7 +206,9 @@ def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path)
     with af.open_run(folder) as run:
         X = np.array([[1.0, 12.0], [5.0, 2.0], [2.0, 4.5]])
         predicted = run.predict(X)
-        assert list(predicted.columns) == ["load", "strength", "p_safe", "p_failure", "latent_mean", "latent_sd"]
+        added = ["likeliest_outcome", "p_safe", "p_failure", "latent_mean", "latent_sd"]
+        assert list(predicted.columns) == ["load", "strength", *added]
+        assert predicted["likeliest_outcome"].tolist()[:2] == ["safe", "failure"]
         assert predicted["p_failure"].iloc[0] < 0.1 < 0.9 < predicted["p_failure"].iloc[1]
         named = [{"strength": strength, "load": load} for load, strength in X.tolist()]
         pd.testing.assert_frame_equal(run.predict(named), predicted)

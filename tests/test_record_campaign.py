@@ -10,14 +10,17 @@ import pandas as pd
 import pytest
 from bearing.test_records import synthetic
 from commandline import activefail, record, refused, table
+from stripes.test_stripes import Stopping
 
-from activefail import open_run
+import activefail as af
+from activefail import create_run, open_run
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.record_features import record_features
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
+from activefail.execution.local import ThreadExecutor
 from activefail.features import CustomFeatures, feature_map
 from activefail.findings.tables import designs_of
 from activefail.intensity import Intensity
@@ -455,6 +458,17 @@ def test_an_incremental_dynamic_analysis_takes_the_records_of_the_campaign(
     refused(activefail(*of_run[:-1], "--simulator", folder / "cheap.toml"), "simulator: cannot be combined with")
     unscaled = cheap(PYTHON, (', scaled_to = { PGV = "pgv" }', ""))
     refused(activefail(*words[:2], unscaled, *words[3:]), "space.record.scaled_to names a variable")
+
+
+def test_the_simulations_of_an_interrupted_round_of_an_analysis_join_the_record(
+    folder: Path, cheap: Callable[..., Path]
+) -> None:
+    with create_run(folder / "run", cheap()) as run, ThreadExecutor(1) as executor:
+        run.take(executor=executor, progress=False)
+        with pytest.raises(KeyboardInterrupt):
+            af.ida({"strength": 0.2}, run=run, executor=Stopping(1))
+        assert len(run.simulations) == 25
+        assert run.simulations["origin"].tolist()[-1] == "given"
 
 
 def test_the_shipped_campaigns_name_the_far_field_set(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ _COUNTED = ("numerical_failure", "in_flight")
 
 def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
     """The columns that a prediction adds to a table of designs."""
-    return (*(f"p_{name}" for name in outcomes), "latent_mean", "latent_sd")
+    return ("likeliest_outcome", *(f"p_{name}" for name in outcomes), "latent_mean", "latent_sd")
 
 
 def check_enough_designs(space: DesignSpace, budget: int) -> None:

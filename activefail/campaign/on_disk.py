@@ -36,7 +36,7 @@ def read_campaign(
     Raises:
         InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
-    settings = read_settings(path).with_overrides(seed, budget)
+    settings = read_settings(path, seed, budget)
     with naming(f"{path}: "):
         return Campaign.of(settings, code, run, custom_features=features, check_features=not frozen)
 

@@ -586,12 +586,17 @@ class CommandSimulatorSettings(CustomSimulatorSettings):
         return self
 
 
+def usual_initial(usual: int, budget: object) -> int:
+    """Size of an initial design that the file leaves out: the usual one, but half of a budget below it."""
+    return max(2, budget // 2) if isinstance(budget, int) and 2 <= budget < usual else usual
+
+
 class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: size of the initial design, a Latin hypercube. By default half of a budget below 250 of the file.
-            With `stop.probability` and a custom simulator it is twice the number of variables, at least 12.
+        initial: size of the initial design, a Latin hypercube. With `stop.probability` and a custom simulator the
+            default is twice the number of variables, at least 12. Of a budget below the default it is half.
         budget: all simulations.
         batch: designs in a batch, which use as many cores; in an asynchronous campaign, in flight at a time. With
             `stop.probability` and a custom simulator 1 by default.
@@ -609,15 +614,17 @@ class Sampling(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_half_of_a_small_budget(cls, values: Any) -> Any:
-        budget = values.get("budget") if isinstance(values, dict) else None
-        if isinstance(budget, int) and 2 <= budget < cls.model_fields["initial"].default:
-            return {"initial": max(2, budget // 2)} | values
-        return values
+        if not isinstance(values, dict):
+            return values
+        return {"initial": usual_initial(cls.model_fields["initial"].default, values.get("budget"))} | values
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.budget < self.initial:
-            raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
+            raise ValueError(
+                f"`initial <= budget` must hold, got initial = {self.initial} and budget = {self.budget}; change "
+                "`initial` in the file, or leave it out"
+            )
         if self.asynchronous and 2 * self.batch > self.initial:
             raise ValueError(
                 f"`initial` must be at least twice `batch` if asynchronous, got {self.initial} and {self.batch}"

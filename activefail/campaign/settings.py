@@ -36,6 +36,7 @@ from activefail.campaign.sections import (
     Validation,
     Variable,
     by_key,
+    usual_initial,
 )
 from activefail.errors import InputError
 from activefail.expressions import parse_constraint
@@ -143,7 +144,9 @@ class CampaignSettings(Section):
         if isinstance(values.get("stop"), dict) and "probability" in values["stop"]:
             # A probability needs few designs of the bulk, and every result changes where the next one teaches most.
             variables = sum("value" not in one for one in _tables(values.get("space")))
-            defaults["sampling"] = {"initial": max(12, 2 * variables), "batch": 1}
+            sampling = values.get("sampling")
+            budget = sampling.get("budget") if isinstance(sampling, dict) else None
+            defaults["sampling"] = {"initial": usual_initial(max(12, 2 * variables), budget), "batch": 1}
             # Of outcomes alone this criterion misses least of a rare failure; margins have their own.
             defaults["acquisition"] = {"criterion": "eavc"}
         elif values["simulator"].get("repeatable") is False:
@@ -267,15 +270,6 @@ class CampaignSettings(Section):
     def text(self) -> str:
         """The settings as TOML with all defaults, as frozen in a run folder."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, by_alias=True))
-
-    def with_overrides(self, seed: int | None = None, budget: int | None = None) -> "CampaignSettings":
-        """The settings with the seed and budget of a command line.
-
-        Raises:
-            InputError: if one breaks a rule.
-        """
-        overrides = {"seed": seed, "sampling.budget": budget}
-        return self.changed({key: value for key, value in overrides.items() if value is not None})
 
     @property
     def feature_files(self) -> dict[str, str]:
@@ -403,10 +397,19 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
     return checked(CampaignSettings, parse_toml(text, source), source)
 
 
-def read_settings(path: Path) -> CampaignSettings:
+def read_settings(path: Path, seed: int | None = None, budget: int | None = None) -> CampaignSettings:
     """Read the settings of a campaign file, or those that a run folder has frozen.
+
+    Args:
+        path: the file.
+        seed, budget: of the command line; they replace those of the file before its rules are checked.
 
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
     """
-    return checked(CampaignSettings, read_toml(path), str(path))
+    values, source = read_toml(path), str(path)
+    if seed is not None:
+        values, source = values | {"seed": seed}, f"{source} --seed {seed}"
+    if budget is not None and isinstance(sampling := values.get("sampling", {}), dict):
+        values, source = values | {"sampling": sampling | {"budget": budget}}, f"{source} --budget {budget}"
+    return checked(CampaignSettings, values, source)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
 from activefail.execution.answering import answer, finished
+from activefail.execution.executor import Arrived
 from activefail.execution.guards import Guards
 from activefail.execution.local import taken
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, design_in_words, unanswered
@@ -99,7 +100,7 @@ class DaskExecutor:
         self._in_flight: dict[str, _Flight] = {}
         self._key = secrets.token_hex(8)
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
         if len(X) == 0:
             return unanswered(simulator, 0)
@@ -111,8 +112,8 @@ class DaskExecutor:
         while len(answers) < len(X):
             for row, results in self._collect(arrivals, _LOOK):
                 answers[row] = results
-                if progress is not None:
-                    progress(1)
+                if arrived is not None:
+                    arrived(row, results)
         return Results.concatenate([answers[row] for row in range(len(X))])
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:

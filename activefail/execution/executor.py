@@ -10,9 +10,14 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol, Self
 
+import numpy as np
+
 from activefail.progress import Begin
-from activefail.simulators.interface import Results, Simulator
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
+
+Arrived = Callable[[int, Results], None]
+"""Called with the results of consecutive rows as soon as they are there: the first of these rows, and their results."""
 
 
 class Executor(Protocol):
@@ -41,14 +46,14 @@ class Executor(Protocol):
     cluster they run to their end or time limit, and their results are discarded.
     """
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         """Simulate designs; may be called again, with another simulator too.
 
         Args:
             simulator: the simulator to run.
             X: (n, d), n >= 0. Without designs no worker is needed.
-            progress: called in the caller's thread with the number of newly completed rows, n in total. Its exceptions
-                reach the caller.
+            arrived: called in the caller's thread with newly completed rows, n in total. Its exceptions reach the
+                caller.
 
         Returns:
             Results of the n designs, in their order.
@@ -105,15 +110,15 @@ class CountingExecutor:
     executor: Executor
     counting: Callable[[], AbstractContextManager[Begin]]
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         """As `Executor.run`."""
         with self.counting() as begin:
             count = begin(len(X))
 
-            def advance(done: int) -> None:
-                count(done)
-                if progress is not None:
-                    progress(done)
+            def advance(row: int, results: Results) -> None:
+                count(len(results))
+                if arrived is not None:
+                    arrived(row, results)
 
             return self.executor.run(simulator, X, advance)
 
@@ -123,3 +128,34 @@ class CountingExecutor:
 
     def __exit__(self, *exception: object) -> None:
         self.executor.__exit__(*exception)
+
+
+def run_keeping(
+    executor: Executor,
+    simulator: Simulator,
+    X: Array,
+    keep: Callable[[Array, Results], object],
+    progress: Callable[[int], None] = lambda _: None,
+) -> Results:
+    """As `Executor.run`; what has an outcome when an exception ends it, such as Ctrl-C, is kept.
+
+    Args:
+        executor, simulator, X: as for `Executor.run`.
+        keep: called with the designs and results that are kept. Failures are not: they may be the interruption's.
+        progress: called with the number of newly completed rows.
+    """
+    parts: dict[int, Results] = {}
+
+    def arrived(row: int, results: Results) -> None:
+        parts[row] = results
+        progress(len(results))
+
+    try:
+        return executor.run(simulator, X, arrived)
+    except BaseException:
+        if parts:
+            there = np.concatenate([X[row : row + len(part)] for row, part in parts.items()])
+            results = Results.concatenate([*parts.values()])
+            has_outcome = results.outcome != NUMERICAL_FAILURE
+            keep(there[has_outcome], results[has_outcome])
+        raise

@@ -9,6 +9,7 @@ from typing import Self, TypeVar
 
 from activefail.errors import SimulationError
 from activefail.execution.answering import answer, finished
+from activefail.execution.executor import Arrived
 from activefail.execution.guards import Guards
 from activefail.simulators.interface import Results, Simulator, unanswered
 from activefail.space import Array
@@ -57,7 +58,7 @@ class ThreadExecutor:
         self._pool = ThreadPoolExecutor(workers)
         self._done: _Done = SimpleQueue()
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
         n = len(X)
         if n == 0:
@@ -72,8 +73,8 @@ class ThreadExecutor:
             while len(parts) < len(firsts):
                 for first, part in taken(done, _WAIT):
                     parts[first] = part.result()
-                    if progress is not None:
-                        progress(len(parts[first]))
+                    if arrived is not None:
+                        arrived(first, parts[first])
         return Results.concatenate([parts[first] for first in firsts])
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:

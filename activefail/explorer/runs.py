@@ -99,7 +99,8 @@ class Runs:
         self.folder, self.open_site = folder, open_site
         self._reads: dict[Path, _Read] = {}
         self._sites: dict[Path, tuple[Stamp | None, Site]] = {}  # the one asked last is the last
-        self._reading, self._opening, self._looking = threading.Lock(), threading.Lock(), threading.Lock()
+        self._reading, self._looking = threading.Lock(), threading.Lock()
+        self._opening: dict[Path, threading.Lock] = {}
 
     def page(self, path: str) -> str | None:
         """As `Site.page`."""
@@ -116,8 +117,8 @@ class Runs:
             return None
         if (site := self._opened(folder, anew)) is not None:
             return site
-        # One at a time: it loads custom code. Those who ask an open campaign do not wait.
-        with self._opening:
+        # Those who ask the same campaign wait, so that it is opened once.
+        with self._opening.setdefault(folder, threading.Lock()):
             if (site := self._opened(folder, anew)) is None:
                 stamp, site = _stamp(folder), self.open_site(folder)
                 with self._looking:

@@ -100,7 +100,7 @@ def _result_columns(campaign: Campaign, results: Results | History) -> dict[str,
 def predictions_frame(
     campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array, index: Any = None
 ) -> "DataFrame":
-    """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments.
+    """Predictions for designs, (n, d): the variables, and the columns of `predicted_columns`.
 
     Args:
         campaign, classifier: the campaign and its classifier.
@@ -111,14 +111,15 @@ def predictions_frame(
 
     values = _predicted_values(campaign, classifier, X)
     columns = _columns(campaign.space, X)
-    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
+    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values, strict=True)), index=index)
 
 
-def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> Array:
-    """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
+def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> list[list[Any]]:
+    """The columns of `predicted_columns` for designs, (n, d)."""
     predicted = classifier.predicted(X)
     moments = predicted.moments[campaign.severity - 1]
-    return np.column_stack([predicted.probabilities, moments.mean, moments.sd])
+    likeliest = [classifier.outcomes[place] for place in predicted.probabilities.argmax(axis=1)]
+    return [likeliest, *predicted.probabilities.T.tolist(), moments.mean.tolist(), moments.sd.tolist()]
 
 
 def designs_of(campaign: Campaign, X: Any) -> Array:
@@ -227,7 +228,7 @@ def predict_table(
     target: Target,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
 ) -> int:
-    """Write a CSV table of designs with outcome probabilities and the latent of the target boundary added.
+    """Write a CSV table of designs with the columns of `predicted_columns` added.
 
     Returns:
         Number of designs outside the design space, where the classifier extrapolates.
@@ -249,9 +250,9 @@ def predict_table(
     def predicted(X: Array, advance: Advance) -> list[list[Any]]:
         nonlocal outside
         outside += int(np.count_nonzero(~space.contains(X)))
-        rows: list[list[Any]] = _predicted_values(campaign, classifier, X).tolist()
+        columns = _predicted_values(campaign, classifier, X)
         advance(len(X))
-        return rows
+        return [list(row) for row in zip(*columns, strict=True)]
 
     _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
     return outside

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.execution.executor import AsynchronousExecutor
+from activefail.execution.executor import Arrived, AsynchronousExecutor
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN
 from activefail.simulators.interface import Results, Simulator, is_impossible
@@ -97,9 +97,9 @@ class ObservedExecutor:
     executor: AsynchronousExecutor
     faults: list[str]
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         """As `Executor.run`."""
-        return self._noted(self.executor.run(simulator, X, progress))
+        return self._noted(self.executor.run(simulator, X, arrived))
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
         """As `AsynchronousExecutor.start`."""

@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
@@ -20,6 +21,9 @@ KERNEL_KEY, LIKELIHOOD_KEY = "classifier.kernel.python", "classifier.likelihood.
 MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.python"
 LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 """The settings that name a user's functions; the record stores the digests of their sources under these keys."""
+
+_loading = threading.RLock()
+"""One module at a time: imports share the path, the current folder and the output of the process."""
 
 
 def load_function(
@@ -86,8 +90,8 @@ def _load_module(name: str, code: Path, forbidden: Path | None) -> tuple[ModuleT
     if file is not None and forbidden and lies_in(file, forbidden):
         raise _NeverRunError(file)
     sources = {} if found is None else sources_of(found, code)
-    import_from(code, sources)
-    with _current_folder_kept(), redirect_stdout(sys.stderr):
+    with _loading, _current_folder_kept(), redirect_stdout(sys.stderr):
+        import_from(code, sources)
         module = _module_from_path(name, forbidden) if file is None else _module_from_file(file, name)
     origin = Path(module.__file__) if module.__file__ else None
     if sources and found in (file, origin):

@@ -8,7 +8,7 @@ of the budget. The predictions that they check are kept before, so that an inter
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from activefail.campaign.finite import FiniteValues
 from activefail.campaign.question import Question
 from activefail.campaign.random_streams import stream
 from activefail.errors import InputError, SimulationError
-from activefail.execution.executor import Executor
+from activefail.execution.executor import Executor, run_keeping
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.telling import add
@@ -284,7 +284,8 @@ class Stripes:
             f"simulating {len(X)} of {len(stripe.values)} values of {', '.join(stripe.values.names)}; "
             f"{percent(stripe.expected_wrong)} expected to be predicted wrongly"
         )
-        results = self.executor.run(self.campaign.simulator, X)
+        keep = partial(add, self.campaign, self.store)
+        results = run_keeping(self.executor, self.campaign.simulator, X, keep)
         # One such round is recorded: these values may be the ones that never converge.
         none_before = stripe.lost.any() and not stripe.known.any()
         if none_before and (results.outcome == NUMERICAL_FAILURE).all():
@@ -292,7 +293,7 @@ class Stripes:
                 f"None of the {len(X)} simulations gave an outcome. Their results were discarded."
                 + first_fault_text(results.faults.values())
             )
-        add(self.campaign, self.store, X, results)
+        keep(X, results)
 
 
 @dataclass(frozen=True)

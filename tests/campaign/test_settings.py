@@ -236,7 +236,7 @@ BROKEN = [
     ("space.mu = [0.1, 0.2]", "space.mu: must be a table of keys and values, got [0.1, 0.2]"),
     ("stop = 0.05", "stop: must be a table with `error` or a table with "),
     ('simulator.python = "a:b"', "space: required with a custom simulator"),
-    ("sampling = {initial = 100, budget = 50}", "sampling: `initial <= budget` must hold, got 100 and 50"),
+    ("sampling = {initial = 100, budget = 50}", "sampling: `initial <= budget` must hold, got initial = 100 and"),
     ("space.mu = {low = 0.2, high = 0.1}", "space.mu: `low < high` must hold, got 0.2 and 0.1"),
     ("space.mu = {low = 1, high = 1e155}", "space.mu: the range must lie between -1e+75 and 1e+75, got 1 to 1e+155"),
     ("acquisition.boundary = 2", "acquisition.boundary: must be an outcome, or"),
@@ -484,12 +484,24 @@ def _nested(key: str, value: Any) -> dict[str, Any]:
     return {head: {tail: value} if tail else value}
 
 
-def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() -> None:
-    settings = parse_settings("seed = 1\nsampling.batch = 7", "mine.toml")
-    changed = settings.with_overrides(seed=5, budget=600)
+def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("seed = 1\nsampling.batch = 7")
+    changed = read_settings(file, seed=5, budget=600)
     assert (changed.seed, changed.sampling.budget, changed.sampling.batch) == (5, 600, 7)
-    assert changed.with_overrides(seed=1, budget=500) == settings
-    assert settings.with_overrides() == settings
+    assert read_settings(file, seed=1, budget=500) == read_settings(file)
+
+
+@pytest.mark.parametrize(
+    ("stated", "initial"),
+    [("", (20, 4, 2)), ("sampling.budget = 300", (20, 4, 2)), ("stop.probability = 'failure'", (12, 4, 2))],
+)
+def test_the_default_initial_design_follows_the_command_lines_budget(
+    stated: str, initial: tuple[int, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f"simulator.command = 'a {{out}}'\nspace.x = {{low = 0.0, high = 1.0}}\n{stated}")
+    assert tuple(read_settings(file, budget=n).sampling.initial for n in (40, 8, 3)) == initial
 
 
 @pytest.mark.parametrize(
@@ -505,7 +517,7 @@ def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() 
                 f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
                 f"space.{name}: {name!r} is already the name of a column that `activefail predict` adds; rename it.",
             )
-            for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+            for name in ("likeliest_outcome", "p_safe", "p_failure", "latent_mean", "latent_sd")
         ),
         *(
             (

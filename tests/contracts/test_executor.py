@@ -284,12 +284,12 @@ def test_the_order_holds_where_the_first_designs_take_longest(executor: Executor
 
 
 @pytest.mark.parametrize("n", [1, 5, 100])
-def test_progress_sums_to_the_number_of_designs_and_comes_in_small_steps(executor: Executor, n: int) -> None:
-    steps: list[int] = []
-    executor.run(Disc(), designs(n), steps.append)
-    assert sum(steps) == n
-    assert min(steps) > 0
-    assert max(steps) <= 16
+def test_each_row_arrives_once_in_small_parts(executor: Executor, n: int) -> None:
+    X, parts = designs(n), dict[int, Results]()
+    results = executor.run(Disc(), X, parts.__setitem__)
+    assert sorted(row + k for row, part in parts.items() for k in range(len(part))) == list(range(n))
+    assert all(bits(part) == bits(results[row : row + len(part)]) for row, part in parts.items())
+    assert max(map(len, parts.values())) <= 16
 
 
 def test_single_designs_are_answered_once_each_with_their_tickets(executor: AsynchronousExecutor) -> None:
@@ -361,7 +361,7 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
     X[20, 0] = 0.0
     steps: list[int] = []
     with within(600), make() as executor:
-        results = executor.run(simulator, X, steps.append)
+        results = executor.run(simulator, X, lambda _, part: steps.append(len(part)))
         given_up(results, X, [20], cause)
         assert sum(steps) == 40
         assert says in results.faults[20]
@@ -449,7 +449,7 @@ def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated()
             super()._stop()
             stopped.set()
 
-    def stop(done: int) -> None:
+    def stop(row: int, part: Results) -> None:
         raise KeyboardInterrupt
 
     with within(600), Stopping(1) as executor, pytest.raises(KeyboardInterrupt):

@@ -188,6 +188,23 @@ def test_who_asks_an_open_campaign_does_not_wait_while_another_opens(folder):
     assert answered == [first]
 
 
+def test_two_campaigns_open_at_once_and_one_that_two_ask_opens_once(folder):
+    both, opened = threading.Barrier(2), []
+
+    def open_site(path: Path) -> Stub:
+        both.wait(PATIENCE)
+        opened.append(path.name)
+        return Stub()
+
+    runs = Runs(folder, open_site)
+    asking = [threading.Thread(target=runs.below, args=(name, True)) for name in (NAME, NAME, "stopped", "stopped")]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join()
+    assert sorted(opened) == sorted((NAME, "stopped"))
+
+
 def test_of_too_many_open_campaigns_the_idle_one_asked_longest_ago_is_closed(folder, monkeypatch):
     monkeypatch.setattr(all_runs, "_MOST_OPEN", 2)
     runs = Runs(folder, lambda path: Stub())

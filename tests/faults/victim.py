@@ -14,7 +14,7 @@ import os
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
+from activefail.execution.executor import Arrived
 from activefail.loop import proposing  # noqa: F401 (as h5py: `ask` loads it only to propose)
 from activefail.loop.asking import ask
 from activefail.loop.in_flight import HandedOut
@@ -47,7 +48,7 @@ COMMITS = BUDGET // BATCH
 class Inline:
     """Simulates in the calling thread: a second thread would have system calls of its own."""
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         return simulator.run(X)
 
     def __enter__(self) -> "Inline":

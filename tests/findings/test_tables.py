@@ -169,8 +169,10 @@ def test_probabilities_of_a_prediction_sum_to_one_and_are_the_classifiers(ran: R
         probabilities = ran.classifier.probabilities(X)
         latent = ran.classifier.latents[0].moments(ran.campaign.features(X))
     header, rows = written(tmp_path / "out.csv")
-    assert header == ["x", "y", "p_safe", "p_broken", "latent_mean", "latent_sd"]
-    answers = numbers(rows, slice(2, None))
+    assert header == ["x", "y", "likeliest_outcome", "p_safe", "p_broken", "latent_mean", "latent_sd"]
+    assert {row[2] for row in rows} == {"safe", "broken"}
+    assert [row[2] == "broken" for row in rows] == (probabilities[:, 1] > 0.5).tolist()
+    answers = numbers(rows, slice(3, None))
     np.testing.assert_allclose(answers[:, :2].sum(axis=1), 1.0, rtol=0.0, atol=1e-12)
     assert answers[:, :2].min() >= 0.0
     assert answers.tobytes() == np.column_stack([probabilities, latent.mean, latent.sd]).tobytes()
@@ -186,7 +188,7 @@ def test_a_prediction_does_not_depend_on_the_rows_beside_it(ran: Run, tmp_path: 
             predict_table(
                 ran.campaign, ran.classifier, save(tmp_path / "in.csv", X[order], ("x", "y")), tmp_path / "out.csv"
             )
-        answers.append(numbers(written(tmp_path / "out.csv")[1], slice(2, None))[np.argsort(order)])
+        answers.append(numbers(written(tmp_path / "out.csv")[1], slice(3, None))[np.argsort(order)])
     np.testing.assert_allclose(answers[0], answers[1], rtol=1e-9, atol=1e-12)
 
 
@@ -195,7 +197,7 @@ def test_designs_outside_the_space_are_predicted_and_counted(ran: Run, tmp_path:
     source = save(tmp_path / "in.csv", X, ("x", "y"))
     with one_thread():
         assert predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv") == 3
-    answers = numbers(written(tmp_path / "out.csv")[1], slice(2, None))
+    answers = numbers(written(tmp_path / "out.csv")[1], slice(3, None))
     assert np.isfinite(answers).all()
     np.testing.assert_allclose(answers[:, :2].sum(axis=1), 1.0)
 

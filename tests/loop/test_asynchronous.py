@@ -4,7 +4,6 @@ import hashlib
 import os
 import re
 import signal
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from patience import PATIENCE, until
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError, SimulationError
+from activefail.execution.executor import Arrived
 from activefail.execution.local import ProcessExecutor, ThreadExecutor
 from activefail.loop.asking import ask
 from activefail.loop.history import History
@@ -50,7 +50,7 @@ class Arbitrary:
         self.simulator: Simulator = Disc()
         self.most = 0
 
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
         return simulator.run(X)
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:

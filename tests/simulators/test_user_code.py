@@ -6,10 +6,13 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from patience import PATIENCE
 
 from activefail.errors import InputError
 from activefail.simulators.user_code import digest_without_running, load_function
@@ -187,3 +190,22 @@ def test_the_digest_of_deep_code_does_not_depend_on_where_it_is_taken(tmp_path: 
     before = deeper(0)
     (tmp_path / "model.py").write_text(f"total = {' + '.join(map(str, range(401)))}\n")
     assert deeper(0) != before
+
+
+def test_code_that_two_threads_load_at_once_has_its_own_helpers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, other_loaded = threading.Event(), threading.Event()
+    monkeypatch.setitem(sys.modules, "gate", SimpleNamespace(began=began, other_loaded=other_loaded))
+    for name, first in (("slow", "import gate\ngate.began.set()\ngate.other_loaded.wait(0.5)\n"), ("other", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "helper.py").write_text(f"NAME = {name!r}\n")
+        (tmp_path / name / "model.py").write_text(f"{first}import helper\n\ndef run(design):\n    return helper.NAME\n")
+    found = []
+    slow = threading.Thread(target=lambda: found.append(load_function("model:run", tmp_path / "slow", "key")[0]({})))
+    slow.start()
+    assert began.wait(PATIENCE)
+    assert load_function("model:run", tmp_path / "other", "key")[0]({}) == "other"
+    other_loaded.set()
+    slow.join()
+    assert found == ["slow"]

@@ -18,6 +18,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question, asked_of
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
+from activefail.execution.executor import Arrived
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.history import History
 from activefail.loop.learning import current
@@ -31,7 +32,7 @@ from activefail.requests import ProbabilityRequest
 from activefail.risk.design.by_stripes import design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
 from activefail.risk.ida.collapse import fit_lognormal
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array, DesignSpace
 from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
 from activefail.stripes.stripe import Round, Stripe, Stripes
@@ -94,6 +95,18 @@ class Interrupted(ThreadExecutor):
         if not self.left:
             raise KeyboardInterrupt
         return super().run(*arguments, **words)  # type: ignore[arg-type]
+
+
+class Stopping(ThreadExecutor):
+    """An executor that Ctrl-C ends once the first results have arrived."""
+
+    def run(self, simulator: Simulator, X: Array, arrived: Arrived | None = None) -> Results:
+        def stop(row: int, results: Results) -> None:
+            assert arrived is not None
+            arrived(row, results)
+            raise KeyboardInterrupt
+
+        return super().run(simulator, X, stop)
 
 
 @dataclass
@@ -207,6 +220,19 @@ def test_an_interrupted_question_continues_with_what_was_recorded() -> None:
     assert stripe.probability == expected.probability
     assert stripe.rounds == expected.rounds
     np.testing.assert_array_equal(parts.history.designs, whole.history.designs)
+
+
+def test_of_an_interrupted_round_what_has_an_outcome_is_recorded() -> None:
+    found, lost = ran(), Plane()
+    with pytest.raises(KeyboardInterrupt):
+        found.ask(executor=Stopping(1))
+    assert len(found.history) == 37
+    assert fails(found.history.designs[-1:]) == [found.history.outcome[-1] == 1]
+    found = ran(lost)
+    lost.lost = tuple(range(VALUES))
+    with pytest.raises(KeyboardInterrupt):
+        found.ask(executor=Stopping(1))
+    assert len(found.history) == 36
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Capacities of records that begin where a campaign's classifier predicts them; their simulations join its record."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,6 @@ from activefail.errors import InputError
 from activefail.loop.telling import add
 from activefail.risk.ida.capacity import Capacities, Simulate, capacities_near
 from activefail.risk.ida.simulations import CampaignSubject
-from activefail.simulators.interface import Results
 from activefail.space import Array
 
 if TYPE_CHECKING:
@@ -36,16 +36,12 @@ def capacities_by_campaign(
     Raises:
         InputError: if a value lies outside the campaign's space.
     """
-
-    def keep(X: Array, results: Results) -> None:
-        add(run.campaign, run.store, X, results)
-
     for one in run.space.parameters:
         if not one.choices and not one.contains(value := subject.values.get(one.name, one.low)):
             raise InputError(f"{one.name}: {one.rule}, got {value:g}; the simulations join the campaign.")
     level = run.space.parameters[run.space.names.index(subject.ground.level)]
     rungs = np.clip(rungs, level.low, level.high)
-    subject.keep, subject.answered = keep, bool(run.history.answered.any())
+    subject.keep, subject.answered = partial(add, run.campaign, run.store), bool(run.history.answered.any())
     levels = np.geomspace(rungs[0], rungs[-1], _LEVELS)
     X = subject.designs([(k, level) for k in range(records) for level in levels.tolist()])
     latent = run.classifier.latents[severity - 1]

@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import campaign_file, read_campaign
 from activefail.campaign.question import values_of
 from activefail.errors import InputError, SimulationError, naming
+from activefail.execution.executor import Executor, run_keeping
 from activefail.files import replacing, writing_to
 from activefail.motions import Motions
 from activefail.risk.ida.capacity import Answers, Runs, Simulate
@@ -26,10 +27,6 @@ from activefail.space import Array
 from activefail.trust import read_regular
 from activefail.verification.stored_sets import first_fault_text
 from activefail.visible import visible
-
-if TYPE_CHECKING:
-    from activefail.execution.executor import Executor
-
 
 RECORD, VELOCITY = "record", "PGV"
 """Variables of a campaign whose code reads the records: the record, whose whole part counts from 0, and its PGV."""
@@ -183,8 +180,8 @@ class CampaignSubject:
     campaign: Campaign
     ground: Ground
     asked: Mapping[str, float]
-    executor: "Executor"
-    keep: Callable[[Array, Results], None] = lambda *_: None
+    executor: Executor
+    keep: Callable[[Array, Results], object] = lambda *_: None
     simulated: int = 0
     answered: bool = False
     fault: str = ""
@@ -209,7 +206,7 @@ class CampaignSubject:
             parts = (self.simulate(records, intensities, progress, part) for part in (runs[:_FIRST], runs[_FIRST:]))
             return Answers(*(np.concatenate(column) for column in zip(*parts, strict=True)))
         X = self.designs(runs)
-        results = self.executor.run(self.campaign.simulator, X, progress)
+        results = run_keeping(self.executor, self.campaign.simulator, X, self.keep, progress)
         self.fault = self.fault or first_fault_text(results.faults.values()).strip()
         self.answered = self.answered or bool((results.outcome != NUMERICAL_FAILURE).any())
         if not self.answered:
