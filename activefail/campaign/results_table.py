@@ -364,7 +364,7 @@ def _require_result(campaign: Campaign, table: Table) -> None:
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
         close = [(name, column) for name in deciding for column in table.columns if may_be(name, column)]
-        hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else ""
+        hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else f' Another name: --map "{deciding[0]}=NAME".'
         raise InputError(
             f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}.{hint}"
         )
@@ -437,10 +437,13 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
     if not 0.0 <= seconds < math.inf:
         raise table.broken(row, _SECONDS, "`0 <= seconds < inf` must hold", seconds)
     name = table.cell(row, _OUTCOME)
+    known = (*outcomes, "numerical_failure")
+    if isinstance(name, str) and name not in known:  # a spreadsheet may have "Failed"
+        name = next((one for one in known if one.casefold() == name.casefold()), name)
     cause = np.array([_cause(campaign, table, row)], dtype=np.int8)
     if isinstance(name, str) and name == "numerical_failure":
-        known = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
-        return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, known, np.array([seconds]))
+        row_of_margins = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
+        return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, row_of_margins, np.array([seconds]))
     answer: object = {"outcome": name, "margins": values}
     if name is None:
         levels = _levels(campaign)
@@ -448,7 +451,8 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
         answer = values if campaign.system else values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
-        raise table.broken(row, _OUTCOME, f"must be one of {', '.join((*outcomes, 'numerical_failure'))}", name)
+        rule = f'must be one of {", ".join(known)} (or a word of --map "{outcomes[-1]}=WORD")'
+        raise table.broken(row, _OUTCOME, rule, name)
     else:
         levels = ()
     try:
