@@ -364,7 +364,8 @@ def _require_result(campaign: Campaign, table: Table) -> None:
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
         close = [(name, column) for name in deciding for column in table.columns if may_be(name, column)]
-        hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else f' Another name: --map "{deciding[0]}=NAME".'
+        another = f' Another name: --map "{deciding[0]}=NAME".'
+        hint = f" {close[0][1]!r} may be it{_way(*close[0])}." if close else another
         raise InputError(
             f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}.{hint}"
         )
@@ -451,7 +452,7 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
         answer = values if campaign.system else values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
-        rule = f'must be one of {", ".join(known)} (or a word of --map "{outcomes[-1]}=WORD")'
+        rule = f'must be one of {", ".join(known)} (or a WORD of --map "{outcomes[-1]}=WORD")'
         raise table.broken(row, _OUTCOME, rule, name)
     else:
         levels = ()
