@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol, Self
 
@@ -33,6 +33,8 @@ _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
 
 _DECIMAL = re.compile(r"(\s*[+-]?(?=[.,]?\d)\d*)([.,])(\d*(?:[eE][+-]?\d+)?\s*)")
 """A number with a decimal mark: a comma in many countries, whose spreadsheets separate columns by semicolons."""
+
+_MARKS = "numbers have decimal points and decimal commas"
 
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
@@ -88,12 +90,14 @@ class Table:
         columns: their names.
         rows: their cells, text or numbers.
         places: how messages name each row.
+        decimal_marks: those of the numbers that were read so far, if they may be commas; None if they are points.
     """
 
     name: str
     columns: tuple[str, ...]
     rows: list[list[Any]]
     places: list[str]
+    decimal_marks: set[str] | None = None
 
     @classmethod
     def of_csv(cls, source: Source, most: int | None = None) -> "Table":
@@ -192,17 +196,16 @@ class Table:
                 return value
             try:
                 apply, factor, offset = scales[place]
-                return apply(_number_of(value), factor) + offset
+                return apply(self._number_of(value), factor) + offset
             except (TypeError, ValueError, ArithmeticError):
                 return value
 
         rows = [[cell(place, value) for place, value in enumerate(row)] for row in self.rows]
-        return type(self)(self.name, tuple(columns), rows, self.places)
+        return replace(self, columns=tuple(columns), rows=rows)
 
     def only(self, rows: Sequence[int]) -> Self:
         """The table of these rows."""
-        kept, places = [self.rows[row] for row in rows], [self.places[row] for row in rows]
-        return type(self)(self.name, self.columns, kept, places)
+        return replace(self, rows=[self.rows[row] for row in rows], places=[self.places[row] for row in rows])
 
     def cell(self, row: int, name: str) -> Any:
         """A cell; None if it is empty or its column is missing."""
@@ -223,9 +226,10 @@ class Table:
         if value is None:
             return math.nan
         try:
-            number = _number_of(value)
-        except (TypeError, ValueError, ArithmeticError):
-            raise self.broken(row, name, "must be a number", value) from None
+            number = self._number_of(value)
+        except (TypeError, ValueError, ArithmeticError) as error:
+            rule = "must be a number" + (" with the decimal mark of the others" if error.args == (_MARKS,) else "")
+            raise self.broken(row, name, rule, value) from None
         if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):
             raise self.broken(row, name, "must fit a float64, at most 1.8e308 in size", value)
         return number
@@ -280,7 +284,7 @@ class Table:
         self.require(names)
         columns = [self.columns.index(name) for name in names]
         try:
-            X = np.array([[_number_of(cells[column]) for column in columns] for cells in self.rows], dtype=np.float64)
+            X = np.array([[self._number_of(cells[column]) for column in columns] for cells in self.rows], dtype=float)
         except (TypeError, ValueError, ArithmeticError):
             X = np.array([math.nan])
         if not np.isfinite(X).all():
@@ -288,6 +292,19 @@ class Table:
                 for name in names:
                     self.finite(row, name)
         return X.reshape(len(self.rows), len(names))
+
+    def _number_of(self, value: Any) -> float:
+        """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
+        if isinstance(value, bool | np.bool_):
+            raise ValueError
+        if not isinstance(value, str):
+            return float(value)
+        if self.decimal_marks is not None and (parts := _DECIMAL.fullmatch(value)):
+            if self.decimal_marks - {parts[2]}:
+                raise ValueError(_MARKS)
+            self.decimal_marks.add(parts[2])
+            value = f"{parts[1]}.{parts[3]}"
+        return number_in(value)
 
     def broken(self, row: int, column: str, rule: str, value: object) -> InputError:
         """The error of a cell that breaks a rule; the value is None if the cell is empty."""
@@ -300,13 +317,6 @@ def may_be(name: str, column: str) -> bool:
     name, plain = name.casefold(), re.sub(r"\s*[\[({].*$", "", column).strip().casefold()
     is_same = plain == name or re.match(rf"{re.escape(name)}[\s_,.-]", plain)
     return bool(is_same or difflib.get_close_matches(plain, [name], 1, 0.75))
-
-
-def _number_of(value: Any) -> float:
-    """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
-    if isinstance(value, bool | np.bool_):
-        raise ValueError
-    return number_in(value) if isinstance(value, str) else float(value)
 
 
 def _is_column(value: object) -> bool:
@@ -368,19 +378,23 @@ class DesignTable:
         """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
         for part in parts_of(self.source, ROWS_AT_ONCE):
             if part.rows:
-                yield part.rows, part.designs(self.space)
+                X = part.designs(self.space)
+                for place in [part.columns.index(one.name) for one in self.space.parameters if not one.choices]:
+                    for cells in part.rows if part.decimal_marks else ():
+                        cells[place] = cells[place].replace(",", ".")
+                yield part.rows, X
 
 
 def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
     """The rows of a CSV table without blank lines, in parts of at most so many; the last part may have none.
 
-    Columns may also be separated by semicolons, and numbers then have decimal commas, or by tabs.
+    Columns may also be separated by semicolons or tabs; numbers may then have decimal commas.
 
     Raises:
         InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
             or a row has another number of cells than the header.
     """
-    (path, name), lines, decimal_marks = source, None, set[str]()
+    (path, name), lines = source, None
     rows: list[list[str]] = []
     places: list[str] = []
     try:
@@ -393,17 +407,11 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         with path.open(encoding=encoding, newline="") as file:
             title = re.sub('"[^"]*"', "", file.readline())
             file.seek(0)
-            separator = next((one for one in ";\t" if one in title and "," not in title), ",")
+            separator = max(",;\t", key=title.count)
+            decimal_marks = None if separator == "," else set[str]()
             lines = csv.reader(file, delimiter=separator, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):
-                if separator == ";":
-                    decimal_marks |= {number[2] for number in map(_DECIMAL.fullmatch, cells) if number}
-                    cells = [_DECIMAL.sub(r"\1.\3", cell) if _DECIMAL.fullmatch(cell) else cell for cell in cells]
-                    if len(decimal_marks) > 1:
-                        raise InputError(
-                            f"{name}: line {lines.line_num}: numbers have decimal points and decimal commas."
-                        )
                 # A spreadsheet adds empty rows and columns.
                 while len(cells) > len(columns) and not cells[-1].strip():
                     cells.pop()
@@ -418,13 +426,15 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
                 rows.append(cells)
                 places.append(place)
                 if len(rows) == at_once:
-                    yield Table(f"{name}: ", columns, rows, places)
+                    yield Table(f"{name}: ", columns, rows, places, decimal_marks)
                     rows, places = [], []
-            yield Table(f"{name}: ", columns, rows, places)
+            yield Table(f"{name}: ", columns, rows, places, decimal_marks)
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {error.strerror or error}.") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{name}: must be UTF-8 text: {error.reason} at byte {error.start}.") from None
+        raise InputError(
+            f"{name}: must be UTF-8 text (of a spreadsheet: CSV UTF-8): {error.reason} at byte {error.start}."
+        ) from None
     except csv.Error as error:
         line = "" if lines is None else f" at line {lines.line_num}"
         raise InputError(f"{name}: not valid CSV{line}: {error}.") from None

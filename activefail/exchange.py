@@ -249,8 +249,14 @@ def _record(
             raise refusal(list(reasons.values())) from None
         return _record(run, results.without(reasons), record, which, skip_invalid, more, changed)
     if any(labels := results.labels(run.campaign)):
-        places = dict(zip(bits_of(run.history.designs), run.history.id.tolist(), strict=True))
-        ids = results.ids.tolist() if which == "ids" else [places[bits] for bits in bits_of(results.designs)]
+        ids = run.history.id.tolist()
+        if which == "ids":
+            ids = results.ids.tolist()
+        elif run.campaign.settings.is_repeatable:
+            places = dict(zip(bits_of(run.history.designs), ids, strict=True))
+            ids = [places[bits] for bits in bits_of(results.designs)]
+        else:  # every row is a new simulation
+            ids = ids[-len(labels) :]
         keep_labels(run.store, ids, labels)
     run._predicts = None
     return new

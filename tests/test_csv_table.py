@@ -60,7 +60,10 @@ BAD = {
     ),
     "missing column": ("a,c\n1,2\n", "column 'b': required, but missing; the required columns are a,b"),
     "thousands": ("a;b\n1;2.000,5\n", "row 1 (line 2), column b: must be a number, got '2.000,5'"),
-    "points and commas": ("a;b\n1,5;2\n1.5;2\n", "line 3: numbers have decimal points and decimal commas"),
+    "points and commas": (
+        "a;b\n1,5;2\n1.5;2\n",
+        "row 2 (line 3), column a: must be a number with the decimal mark of the others, got '1.5'",
+    ),
     "column twice": ("a,b,a\n1,2,3\n", "column 'a': must occur only once, occurs 2 times"),
     "column that will be written": (
         "a,answer,b\n1,2,3\n",
@@ -70,7 +73,7 @@ BAD = {
     "Excel": (b"PK\x03\x04\x14\0", "is a workbook or an archive; save the table as CSV"),
     "misspelt": ("aa,B [m]\n1,2\n", "column 'a': required, but missing; the required columns are a,b."),
     "a unit": ("a,B [m]\n1,2\n", "column 'b': required, but missing; the required columns are a,b. It may be 'B [m]'"),
-    "latin-1": (b"a,b\n1,2\n1,\xfc\n", "must be UTF-8 text"),
+    "latin-1": (b"a,b\n1,2\n1,\xfc\n", "must be UTF-8 text (of a spreadsheet: CSV UTF-8)"),
     "open quote": ('a,b\n1,"2\n', "not valid CSV"),
 }
 
@@ -104,6 +107,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         "a,b,,\n1,2,,\n,,,\n3,4,,\n,,,\n",
         "a;b\n1,0; 20,0e-1\n+3;4,\n",
         "a\tb\n1\t2\n3\t4\n",
+        "a\tb\n1,0\t2\n3\t4,0\n",
     ],
     ids=[
         "plain",
@@ -115,6 +119,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         "empty",
         "decimal commas",
         "tabs",
+        "tabs and decimal commas",
     ],
 )
 def test_a_table_is_read_however_a_spreadsheet_writes_it(
@@ -126,10 +131,11 @@ def test_a_table_is_read_however_a_spreadsheet_writes_it(
 
 
 def test_between_semicolons_only_numbers_are_changed(table: Callable[[str | bytes], DesignTable]) -> None:
-    good = table('a;b;"part, kind"\n1,5;2,5;steel, welded\n-,5e1;3;,\n3;4;12.03.2026\n3;4; 1,5 \n')
+    good = table("a;b;part, kind\n1,5;2,5;steel, welded\n-,5e1;3;,\n3;4;12.03.2026\n3;4; 1,5 \n3;4;26.11\n")
     assert good.header == ("a", "b", "part, kind")
-    assert rows(good)[1] == [[1.5, 2.5], [-5.0, 3.0], [3.0, 4.0], [3.0, 4.0]]
-    assert [row[2] for row in rows(good)[0]] == ["steel, welded", ",", "12.03.2026", " 1.5 "]
+    assert rows(good)[1] == [[1.5, 2.5], [-5.0, 3.0], [3.0, 4.0], [3.0, 4.0], [3.0, 4.0]]
+    assert rows(good)[0][0] == ["1.5", "2.5", "steel, welded"]
+    assert [row[2] for row in rows(good)[0][1:]] == [",", "12.03.2026", " 1,5 ", "26.11"]
 
 
 def test_designs_are_in_the_order_asked_for_and_other_columns_are_kept_as_they_are(

@@ -430,6 +430,24 @@ def test_columns_with_other_names_and_units_and_words_are_named_and_can_be_mappe
     assert [row["tested by"] for row in rows] == ["'=Ben"] * 2
 
 
+def test_a_name_is_mapped_once(lab: Path, tmp_path: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab):
+        pass
+    path = written(tmp_path / "old.csv", [{"load": 2.5, "strength": 8.0, "g": 1.0}])
+    answer = activefail("add", lab.with_name("run"), "--csv", path, "--map", "safe=Safe", "--map", "safe=held")
+    assert "--map: safe must be given once, got 'Safe' and 'held'." in answer.err
+
+
+def test_replicates_keep_their_own_labels(lab: Path) -> None:
+    lab.write_text(LAB.replace("margins", "repeatable = false, margins"))
+    with af.create_run(lab.with_name("run"), lab) as run:
+        rows = [{"load": 2.5, "strength": 8.0, "g": g, "batch": batch} for g, batch in ((0.3, "a"), (-0.2, "b"))]
+        assert run.add(rows) == run.add(rows[:1]) + 1
+        assert run.simulations["batch"].tolist() == ["a", "b", "a"]
+        with pytest.raises(InputError, match="fixes every variable, so only the noise is uncertain"):
+            run.design(target="10%", free=["load"], fixed={"strength": 8.0})
+
+
 @pytest.mark.parametrize(("margins", "is_flag"), [((0, 1, 1), True), ((0, 1, 0.5), False), ((1, 1, 1), False)])
 def test_a_margin_that_may_be_a_flag_is_warned_of(lab: Path, margins: tuple[float, ...], is_flag: bool) -> None:
     folder = lab.with_name("run")

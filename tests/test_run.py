@@ -169,6 +169,8 @@ def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
         points = lines[0].vertices
         p = run.predict({"x": points[:, 0], "y": points[:, 1], "soil": ["B"] * len(points)})["p_failure"]
         assert abs(p - 0.5).median() < 0.1
+        with pytest.warns(UserWarning, match="1 design lies outside the design space"):
+            run.predict({"x": [0.5, 1.5], "y": [0.5, 0.5], "soil": ["A", "B"]})
         assert sum(len(drawn.get_offsets()) for drawn in axes.collections[-2:]) == 20
         known, axes = run.failure(), Figure().add_subplot()
         assert run.plot_history(axes) is axes

@@ -191,6 +191,8 @@ def predict(
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs by the classifier."""
+    from activefail.findings.tables import outside_in_words
+
     with table_output("--out", out) as target:
         with opened_run(folder, code=code) as opened:
             summary = opened.summary if after is None else opened.summary_after(after)
@@ -198,8 +200,7 @@ def predict(
                 outside = opened.predict_table(table_input(csv), target, begin, after)
             show_unseen(summary)
         if outside:
-            lie = "design lies" if outside == 1 else "designs lie"
-            show_warnings([f"{outside} {lie} outside the design space, where the classifier extrapolates"])
+            show_warnings([outside_in_words(outside)])
         print(f"written to {name_of(out)}")
 
 

@@ -221,7 +221,8 @@ def _names(texts: list[str] | None) -> dict[str, str]:
         for key, value in found.items():
             if not (key and value and isinstance(value, str)):
                 raise InputError(f'--map: must be "name=column" or a TOML file of such texts, got {key!r} = {value!r}.')
-            names[key] = value
+            if names.setdefault(key, value) != value:
+                raise InputError(f"--map: {key} must be given once, got {names[key]!r} and {value!r}.")
     return names
 
 

@@ -1,6 +1,7 @@
 """Tables of designs and simulations: DataFrames, CSV tables to simulate, predict and export, and a Parquet file."""
 
 import importlib
+import warnings
 from collections.abc import Callable, Sequence
 from numbers import Number
 from pathlib import Path
@@ -109,9 +110,17 @@ def predictions_frame(
     """
     import pandas as pd
 
+    if outside := int(np.count_nonzero(~campaign.space.contains(X))):
+        warnings.warn(outside_in_words(outside), stacklevel=3)
     values = _predicted_values(campaign, classifier, X)
     columns = _columns(campaign.space, X)
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values, strict=True)), index=index)
+
+
+def outside_in_words(designs: int) -> str:
+    """A warning of predictions outside the design space."""
+    lie = "design lies" if designs == 1 else "designs lie"
+    return f"{designs} {lie} outside the design space, where the classifier extrapolates"
 
 
 def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> list[list[Any]]:

@@ -191,7 +191,10 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
     handed = HandedOut.of(store)
     for number in ids.tolist():
         if number in handed.history.id:
-            raise InputError(f"ids: must be of designs in flight; id {number} has a result.")
+            raise InputError(
+                f"ids: must be of designs in flight; id {number} has a result (withdraw it with `tell --correct`, as a "
+                "numerical_failure)."
+            )
         if number not in handed.asked.id:
             raise InputError(f"ids: must be of designs in flight; id {number} is unknown.")
     dropped = np.intersect1d(ids, handed.in_flight.id)

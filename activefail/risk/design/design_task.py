@@ -284,7 +284,10 @@ def design_task(
                 f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the bearing."
             )
     if set(question.space.names) <= set(names):
-        raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
+        why = "so nothing is uncertain and no outcome has a probability"
+        if not asked.campaign.settings.is_repeatable:
+            why = "so only the noise is uncertain; `activefail predict` gives the probability at each design of a table"
+        raise InputError(f"question: fixes every variable, {why}.")
     low, high = {name: ranges[name].low for name in names}, {name: ranges[name].high for name in names}
     price, text = _cost(cost, names, question.fixed, space)
     for side in (low, high):
