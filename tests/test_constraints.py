@@ -82,7 +82,7 @@ def test_simulations_and_probabilities_are_those_of_feasible_designs(folder: Pat
         assert 0.1 < min(levels) < max(levels) < 1.0
         designed = run.design(0.05, free=["depth"], cost="-depth").designed
         assert truth(designed.values["depth"]) <= 0.05 < truth(designed.values["depth"] + 0.01)
-        assert run.verify(100).estimate.wrong <= 5
+        assert run.verify(100).estimate.misclassified <= 5
 
 
 def test_designs_that_break_a_constraint_are_refused(folder: Path) -> None:

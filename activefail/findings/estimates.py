@@ -408,7 +408,7 @@ class ErrorFindings(_Verified):
             ("error", f"{text} of the design space on the wrong side of the boundary of {self.boundary}"),
             (
                 "",
-                f"{100 * one.confidence:g} % interval from {basis}, {one.wrong} of them misclassified; the "
+                f"{100 * one.confidence:g} % interval from {basis}, {one.misclassified} of them misclassified; the "
                 "error is their weighted share",
             ),
             ("expected", f"{percent(one.expected, 2)} by the classifier's own probabilities, without an interval"),

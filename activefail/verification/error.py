@@ -43,7 +43,7 @@ class ErrorEstimate:
         confidence: of the interval.
         count: misclassified designs by part; numerical failures count as misclassified.
         simulations: fresh simulations with an outcome.
-        wrong: how many of these are misclassified.
+        misclassified: how many of these are.
         expected: error that the classifier's own probabilities predict.
         requested: all fresh simulations, including numerical failures.
     """
@@ -54,7 +54,7 @@ class ErrorEstimate:
     confidence: float
     count: StratifiedCount
     simulations: int
-    wrong: int
+    misclassified: int
     expected: float
     requested: int
 
@@ -72,7 +72,7 @@ class ErrorEstimate:
             "confidence": self.confidence,
             "simulations": self.simulations,
             "numerical_failures": self.requested - self.simulations,
-            "misclassified": self.wrong,
+            "misclassified": self.misclassified,
             "expected": self.expected,
         }
 
@@ -120,12 +120,12 @@ def planned(estimator: "Estimator", simulations: int) -> Verification:
     rng = stream(campaign.settings.seed, "verification", estimator.iteration)
     pool = campaign.space.random(POOL, rng)
     moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
-    wrong = probability_wrong(moments)
-    part = np.searchsorted(EDGES, wrong, side="right")
+    doubt = probability_wrong(moments)
+    part = np.searchsorted(EDGES, doubt, side="right")
     parts = len(EDGES) + 1
     counts = np.bincount(part, minlength=parts)
     volumes = counts / POOL
-    expected = np.bincount(part, weights=wrong, minlength=parts) / np.maximum(counts, 1)
+    expected = np.bincount(part, weights=doubt, minlength=parts) / np.maximum(counts, 1)
     numbers = np.minimum(allotted(volumes, expected, simulations), counts)
     rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
     return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
@@ -162,23 +162,23 @@ def estimate_error(
         confidence: of the interval.
     """
     parts = len(EDGES) + 1
-    wrong = (plan.predicted != beyond) & answered
+    misclassified = (plan.predicted != beyond) & answered
 
     def counted(designs: NDArray[np.bool_], hits: NDArray[np.bool_]) -> StratifiedCount:
         n, x = (np.bincount(plan.part[rows], minlength=parts).astype(np.float64) for rows in (designs, hits))
         return StratifiedCount(plan.volumes, n, x, POOL)
 
     everything = np.ones(len(answered), dtype=bool)
-    count = counted(everything, wrong | ~answered)
+    count = counted(everything, misclassified | ~answered)
     one_sided = 0.5 + confidence / 2
     return ErrorEstimate(
-        counted(answered, wrong).estimate(plan.expected),
-        counted(everything, wrong).lower(one_sided),
+        counted(answered, misclassified).estimate(plan.expected),
+        counted(everything, misclassified).lower(one_sided),
         count.upper(one_sided),
         confidence,
         count,
         int(answered.sum()),
-        int(wrong.sum()),
+        int(misclassified.sum()),
         float(plan.volumes @ plan.expected),
         len(answered),
     )

@@ -72,7 +72,7 @@ def test_designs_without_an_answer_may_all_be_wrong_or_none():
     answered = np.arange(50) % 2 == 0
     beyond = np.where(answered, False, True)
     error = estimate_error(plan, beyond, answered, 0.9)
-    assert (error.simulations, error.wrong, error.requested) == (25, 0, 50)
+    assert (error.simulations, error.misclassified, error.requested) == (25, 0, 50)
     assert error.in_words[1] == "25 of 50 fresh simulations (25 gave no result, which widens it)"
     assert error.error == 0.0
     assert error.low == 0.0
@@ -102,7 +102,7 @@ def test_verifying_again_simulates_nothing_and_says_the_same():
         assert counting.rows - before == 60
         repeated = verify(Estimator(campaign, store, executor, classifier, 2), 60, 0.9)
     assert counting.rows - before == 60
-    assert (first.low, first.high, first.wrong) == (repeated.low, repeated.high, repeated.wrong)
+    assert (first.low, first.high, first.misclassified) == (repeated.low, repeated.high, repeated.misclassified)
 
 
 class Pockets(Disc):
