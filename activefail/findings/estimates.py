@@ -182,8 +182,11 @@ class ProbabilityFindings:
             interval = f"0 to {rounded_up(self.high)}, without a model; {interval} under the classifier"
         else:
             interval += f", {sure}"
-        rows = [
-            ("interval", interval),
+        rows = [("interval", interval)]
+        if estimate.probability > 0.99 and not self.is_extrapolated:
+            rest, least, most = alike(1.0 - estimate.probability, 1.0 - estimate.high, 1.0 - estimate.low)
+            rows.append(("otherwise", f"{rest}, {least} to {most}: the outcome is nearly certain"))
+        rows += [
             (
                 "from",
                 f"{self.learned} simulations of the campaign ({self.seen} ended in {name}) and "
@@ -408,8 +411,8 @@ class ErrorFindings(_Verified):
             ("error", f"{text} of the design space on the wrong side of the boundary of {self.boundary}"),
             (
                 "",
-                f"{100 * one.confidence:g} % interval from {basis}, {one.misclassified} of them misclassified; the "
-                "error is their weighted share",
+                f"{100 * one.confidence:g} % interval from {basis}, {one.misclassified} of them misclassified; each "
+                "stands for a part of the space, and a part without any counts as expected",
             ),
             ("expected", f"{percent(one.expected, 2)} by the classifier's own probabilities, without an interval"),
         ]

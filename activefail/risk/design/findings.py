@@ -251,7 +251,7 @@ class DesignFindings:
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
-                return f"A {kind} one, {self._shown(look.candidate.values)}, was not verified."
+                return f"A {kind} one, {self._shown(look.candidate.values)}, was looked at and not verified."
         if len(designed.looks) < len(LOOKS):
             return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
         return f"No look is left for a {kind} one."
@@ -394,9 +394,7 @@ class DesignFindings:
                 f"{'out of range' if math.isnan(value) else self._shown({first: value}).removeprefix(f'{first} = ')}"
                 for confidence, value in self.costs.items()
             )
-            rows.append(
-                ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
-            )
+            rows.append(("confidence", f"{first} at another confidence, approximately: {shown}"))
         if self.terms is not None:
             rows += self.terms.lines(f", {self.friction}")
         elif (force := self.lateral_force) is not None:

@@ -36,7 +36,7 @@ _FAR = math.log(2.0)
 _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
 
-_CONFIDENCES = (0.5, 0.8, 0.9, 0.95, 0.99)
+_CONFIDENCES = (0.8, 0.9, 0.95, 0.99)
 """Confidences at which a result states the value of the first free variable."""
 
 _IMAGINED = len(LOOKS) + 1
@@ -277,16 +277,24 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
 
 
 def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
-    """By confidence, the value of the first free variable that it would take, the others held; NaN if out of range."""
-    task, look, costs = designed.task, designed.result, {}
-    model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
-    for confidence in _CONFIDENCES:
+    """By confidence, the value of the first free variable that it would take, the others held; NaN if out of range.
+
+    It differs from the result by as much as values that the last look alone would give. None for a variable of choices.
+    """
+    task, look, (first, *others) = designed.task, designed.result, designed.task.free
+    model, held = _model_of(estimator, task), {name: designed.values[name] for name in others}
+
+    def value(confidence: float) -> float:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
         aims = _corrected(task.targets, look.candidate.model, highs)
         of_search = np.maximum(model(designed.values, task.points), _LEAST)
         candidate = cheapest(task, model, aims * of_search / np.maximum(look.candidate.model, _LEAST), held)
-        costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
-    return costs
+        return candidate.values[first] if candidate.is_feasible else math.nan
+
+    if first in task.choices or math.isnan(own := value(task.confidence)):
+        return {}
+    moved = {one: designed.values[first] + value(one) - own for one in _CONFIDENCES if one != task.confidence}
+    return {one: at if task.low[first] <= at <= task.high[first] else math.nan for one, at in moved.items()}
 
 
 def cheapest(task: DesignTask, model: Model, aims: Array, held: Mapping[str, float] | None = None) -> Candidate:
