@@ -418,7 +418,7 @@ class Run:
         Args:
             x, y: names of the variables, which must be numbers.
             at: values of the other variables; those that it lacks are in the middle of their ranges, or the most
-                probable choice. Simulations are shown whatever their other values.
+                probable choice. Simulations with another choice, or much different other values, are pale.
             axes: matplotlib axes to draw on; new ones of pyplot if None.
 
         Returns:

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from commandline import activefail, refused
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
 from ran import ran_in
 from scipy.stats import norm
 
@@ -22,7 +24,7 @@ from activefail.csv_table import Table
 from activefail.errors import InputError
 from activefail.explorer.answers import Answers
 from activefail.features import feature_map
-from activefail.figures.outcome_planes import coordinates
+from activefail.figures.outcome_planes import coordinates, marks_in, plot_outcome_planes
 from activefail.parameter import Parameter
 from activefail.risk.design.design_task import DesignTask, Requirement, design_task
 from activefail.risk.design.search import cheapest
@@ -185,6 +187,32 @@ def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
         assert {*about["plane"]} == {"load", "storeys"}
         assert {(plane.x, plane.y) for plane in planes} <= {(0, 1), (1, 0)}
         assert "svg" in answers.plane(point, 0, 1, "failure")
+
+
+def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
+    with open_run(folder / "run", code=folder) as run:
+        findings, design = run.findings, np.array([5.0, 3.0, 1.0, 0.0])
+        pale, full = marks_in(findings, design, [0, 1])
+        same = np.all(findings.X[:, 2:] == design[2:], axis=1)
+        assert sorted(full.places.tolist()) == sorted(findings.X[same][:, :2].tolist())
+        assert len(pale.places) + len(full.places) == len(findings.X) > same.sum() > 0
+        axes = run.plot_boundary("load", "storeys", {"soil": "B", "system": "frame"}, Figure().subplots())
+        drawn = [marks for marks in axes.collections if isinstance(marks, PathCollection)]
+        assert sum(len(marks.get_offsets()) for marks in drawn if marks.get_alpha() == 1.0) == same.sum()
+        (plane,) = [
+            plane for plane in coordinates(findings).planes if findings.campaign.space.names[plane.third] == "soil"
+        ]
+        figure = plot_outcome_planes(plane, coordinates(findings), findings)
+        of_soil = [findings.X[:, 2] == value for value in plane.values]
+        drawn = [
+            sum(
+                len(marks.get_offsets())
+                for marks in axes.collections
+                if isinstance(marks, PathCollection) and marks.get_alpha() == 1.0
+            )
+            for axes in figure.axes[: len(of_soil)]
+        ]
+        assert drawn == [int((rows & (findings.X[:, 3] == 0.0)).sum()) for rows in of_soil]
 
 
 def test_an_array_of_numbers_and_wrong_shapes_are_no_designs_where_variables_have_choices(folder: Path) -> None:

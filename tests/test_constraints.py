@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from ran import ran_in
 
 from activefail import open_run
@@ -11,6 +12,8 @@ from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
+from activefail.explorer.answers import Answers
+from activefail.figures.outcome_planes import coordinates
 
 SPACE = """
 simulator = { python = "mine:gap", margins = ["margin"] }
@@ -117,3 +120,21 @@ def test_decimal_numbers_are_compared_as_a_person_would(campaign: Campaign) -> N
         True,
         False,
     ]
+
+
+def test_designs_that_break_a_constraint_are_not_drawn(folder: Path) -> None:
+    inside, outside = [0.4, 0.2], [0.9, 0.9]
+    with open_run(folder / "run", code=folder) as run:
+        prediction = coordinates(run.findings).predict(np.array([inside, outside]))
+        assert np.isfinite(prediction.beyond).tolist() == [True, False]
+        assert np.isfinite(prediction.probabilities).all(axis=1).tolist() == [True, False]
+        axes = run.plot_boundary("depth", "gap", axes=Figure().subplots())
+        assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "no design in the space"
+        answers = Answers(run.findings)
+        assert answers.predict(inside)["absent"] == ""
+        assert answers.predict(outside) == {
+            "probabilities": [],
+            "boundaries": [],
+            "absent": "No such design exists: it breaks depth + gap <= 1.",
+        }
+        assert "<pattern" in answers.plane(inside, 0, 1, "failure")["svg"]  # the hatching

@@ -20,9 +20,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from commandline import CommandResult, activefail, record, refused, table
+from explorer.conftest import site_of
 
 import activefail as af
 from activefail.errors import InputError, StoreError
+from activefail.explorer.answers import Answers
 
 LAB = """
 seed = 3
@@ -782,6 +784,16 @@ def test_commands_that_simulate_refuse_a_campaign_elsewhere(folder: Path, lab: P
     words = ["run", lab, "--out", lab.with_name("other")] if command == "run" else [command, folder]
     refused(activefail(*words), "simulator.elsewhere: activefail cannot run these simulations", "activefail ask")
     assert not lab.with_name("other").exists()
+
+
+def test_pages_advise_no_command_that_the_campaign_refuses(folder: Path) -> None:
+    reported = activefail("report", folder)
+    assert "missing" not in reported.out, reported.err
+    page = (folder / "report.html").read_text()
+    with af.open_run(folder) as run:
+        assert {*run.campaign.settings.refused} == {"verify", "probability", "compare"}
+        page += str(site_of(Answers(run.findings))._failure()["html"])
+    assert [command for command in ("verify", "probability", "compare") if f"activefail {command}" in page] == []
 
 
 def test_settings_that_need_a_simulator_are_refused_elsewhere(lab: Path) -> None:

@@ -201,10 +201,11 @@ class Campaign:
             InputError: if they are done elsewhere.
         """
         if self.is_elsewhere:
+            refused = ", ".join(self.settings.refused)
             raise InputError(
                 "simulator.elsewhere: activefail cannot run these simulations. `activefail create` creates the run "
                 "folder, `activefail ask` hands designs out, and `activefail tell` records their results. Commands "
-                "with fresh simulations (verify, probability, compare) require a simulator that activefail can call."
+                f"with fresh simulations ({refused}) require a simulator that activefail can call."
             )
 
     @property

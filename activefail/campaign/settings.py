@@ -83,6 +83,7 @@ def _table_1() -> dict[str, AnyVariable]:
     return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
 
 
+IF_CALLED = "requires a simulator that activefail can call, not `elsewhere`"
 IF_REPEATABLE = "requires a simulator that repeats: with noise, no design is simply wrong"
 """Rule of what counts wrong designs."""
 
@@ -221,7 +222,7 @@ class CampaignSettings(Section):
             }
             for key, is_set in rules.items():
                 if is_set:
-                    raise ValueError(f"`{key}` requires a simulator that activefail can call, not `elsewhere`")
+                    raise ValueError(f"`{key}` {IF_CALLED}")
         return self
 
     @property
@@ -251,6 +252,13 @@ class CampaignSettings(Section):
     def is_elsewhere(self) -> bool:
         """Whether simulations are done elsewhere, so that activefail cannot run any."""
         return isinstance(self.simulator, ElsewhereSettings)
+
+    @property
+    def refused(self) -> dict[str, str]:
+        """Why this campaign refuses commands with fresh simulations, by command."""
+        if self.is_elsewhere:
+            return dict.fromkeys(("verify", "probability", "compare"), IF_CALLED)
+        return {} if self.is_repeatable else {"compare": IF_REPEATABLE}
 
     @property
     def without_order(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.random_streams import stream
-from activefail.campaign.settings import IF_REPEATABLE, CampaignSettings, parse_settings, read_settings
+from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.comparison.measures import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
@@ -112,8 +112,8 @@ class ComparisonPlan:
             InputError: if the file is unreadable or invalid.
         """
         settings = read_settings(file)
-        if not settings.is_repeatable:
-            raise InputError(f"compare: {IF_REPEATABLE}.")
+        if reason := settings.refused.get("compare"):
+            raise InputError(f"compare: {reason}.")
         sampling, file_features = settings.sampling, settings.classifier.features
         return cls(
             settings,

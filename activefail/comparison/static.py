@@ -8,7 +8,6 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.campaign.settings import IF_REPEATABLE
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
@@ -65,8 +64,8 @@ def compare(
     """
     from activefail.loop.learning import learn_from  # it loads torch
 
-    if not campaign.settings.is_repeatable:
-        raise InputError(f"compare: {IF_REPEATABLE}.")
+    if reason := campaign.settings.refused.get("compare"):
+        raise InputError(f"compare: {reason}.")
     seed = campaign.settings.seed
     history = History.of(store.batches)
     done = len(history)

@@ -24,7 +24,7 @@ from activefail.figures.motion import (
     slider_vertices,
     vertex_states,
 )
-from activefail.figures.outcome_planes import Marks, plot_variable_plane
+from activefail.figures.outcome_planes import marks_in, plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.quantities import plain, words
@@ -40,9 +40,6 @@ _GRID, _CURVE, _FRAMES = 36, 81, 240
 
 _OPEN = 0.1
 """Largest distance of a probability from one half at which the page may start."""
-
-_NEAR = 0.25
-"""Root mean square difference in the other variables, over their ranges, up to which a plane shows a mark in full."""
 
 UNCERTAINTY = "uncertainty"
 """What a plane shows in place of an outcome's probability."""
@@ -165,7 +162,7 @@ class Answers:
         findings = self.findings
         X = np.concatenate([findings.pool, findings.X[findings.answered]])
         apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
-        least = float(apart.min())
+        least = float(np.nanmin(apart))
         X = X[apart <= max(_OPEN, least)]
         away = np.linalg.norm(self.space.to_unit(X) - 0.5, axis=1)
         # Few digits: the page shows them.
@@ -174,7 +171,11 @@ class Answers:
         return "a design at the boundary" if least <= _OPEN else "the least certain design", start
 
     def predict(self, point: Sequence[float]) -> Answer:
-        """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
+        """Probabilities of outcomes, and of boundaries with their 95 % intervals, or why there is no such design."""
+        quantities = self.space.quantities(dict(zip(self.space.names, point, strict=True)))
+        if broken := [one.text for one in self.space.constraints if not one.holds(quantities)]:
+            absent = f"No such design exists: it breaks {' and '.join(broken)}."
+            return {"probabilities": [], "boundaries": [], "absent": absent}
         predicted = self.findings.classifier.predicted(np.array([point]))
         boundaries = []
         for severity, name in enumerate(self.outcomes[1:], start=1):
@@ -182,7 +183,7 @@ class Answers:
             probability = float(predicted.beyond(severity)[0])
             text = or_worse(name, self.outcomes)
             boundaries.append({"text": text, "probability": probability, "low": low, "high": high})
-        return {"probabilities": predicted.probabilities[0].tolist(), "boundaries": boundaries}
+        return {"probabilities": predicted.probabilities[0].tolist(), "boundaries": boundaries, "absent": ""}
 
     def plane(self, point: Sequence[float], x: int, y: int, shown: str) -> Answer:
         """A figure of the plane of two variables through a point, with the position of its axes.
@@ -210,21 +211,12 @@ class Answers:
         else:
             shades, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
         axes_of = self.quantities[x], self.quantities[y]
-        along, marks = (along_x, along_y), self._marks(point, [x, y])
+        along, marks = (along_x, along_y), marks_in(self.findings, np.array(point), [x, y])
         figure = plot_variable_plane(
             axes_of, along, shades.reshape(grid_x.shape), title, marks, self.outcomes, uncertain
         )
         svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
-
-    def _marks(self, point: Sequence[float], plane: list[int]) -> list[Marks]:
-        """The simulated designs in a plane; those that differ much from the point in the other variables are pale."""
-        rows = self.findings.answered
-        X, outcome = self.findings.X[rows], self.findings.outcome[rows]
-        apart = np.delete(self.space.to_unit(X) - self.space.to_unit(np.array([point])), plane, axis=1)
-        near = (apart**2).sum(axis=1) <= _NEAR**2 * apart.shape[1]
-        pale, full = (Marks(X[some][:, plane], outcome[some], opacity) for some, opacity in ((~near, 0.3), (near, 1.0)))
-        return [pale, full]
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
         """A figure of the probability of lying beyond the target boundary against a variable."""

@@ -71,6 +71,7 @@ const predict = latest(async () => {
     return row;
   });
   find("boundaries").replaceChildren(...intervals);
+  find("absent").textContent = answer.absent;
 }, "result");
 
 // --- the plane -----------------------------------------------------------------------------------------------------

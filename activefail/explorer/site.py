@@ -142,7 +142,9 @@ class CampaignSite:
 
         found, findings = self._slow.failure(), self._findings
         section = failure_section(findings, found, _WIDTH)
-        html = section and page("failure", failure=section, beyond=findings.beyond)
+        html = section and page(
+            "failure", failure=section, beyond=findings.beyond, refused=findings.campaign.settings.refused
+        )
         start = None
         if found is not None and found.point is not None:
             start = {"text": f"the design point of {findings.beyond}", "point": found.point.X.tolist()}

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -96,8 +97,15 @@ _PROBABILITY = LinearSegmentedColormap.from_list("probability", [BLUE, "white", 
 _UNCERTAINTY = "Purples", 0.9
 """Colour map and opacity; pale enough for marks on probabilities, strong enough to show a small uncertainty."""
 
-NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
+_NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
 """Hatching where there is no design; plain white means no uncertainty."""
+
+
+def nowhere_handles(Z: Array) -> list[Patch]:
+    """A legend entry for the hatching, if some of the values is NaN."""
+    return [Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no design in the space")] * bool(
+        np.isnan(Z).any()
+    )
 
 
 def axis_limits(column: Array, share: float = 0.9) -> tuple[float, float]:
@@ -116,7 +124,7 @@ def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool 
     if Z.mask.any():
         # Start at the last points that are designs, so that hatching and shades touch.
         nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
-        nowhere.set(**NOWHERE, linewidth=0.0)
+        nowhere.set(**_NOWHERE, linewidth=0.0)
     if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
         axes.contour(x, y, Z, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=[0.6, 0.6, 1.7, 0.6, 0.6])
     return ScalarMappable(shades.norm, shades.cmap)

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.axes import (
-    NOWHERE,
     axis_limits,
     colour_bar,
     filled_contours,
     legend_outside,
+    nowhere_handles,
     outcome_handles,
     own_axes,
     panel,
@@ -42,7 +42,7 @@ class Coordinates:
         quantities: (m,) of the coordinates.
         F: (n, m) coordinates of the simulated designs.
         middle: (m,) values of the coordinates that a plane does not vary.
-        predict: maps coordinates, (rows, m), to predictions and to whether the space has such a design, (rows,).
+        predict: maps coordinates, (rows, m), to predictions of designs with them.
         planes: the planes to draw.
         widths: half-widths of the slices at the values of a plane's third coordinate.
     """
@@ -50,7 +50,7 @@ class Coordinates:
     quantities: Sequence[Quantity]
     F: Array
     middle: Array
-    predict: Callable[[Array], tuple[Prediction, NDArray[np.bool_]]]
+    predict: Callable[[Array], Prediction]
     planes: Sequence[Plane]
     widths: Callable[[Plane, float], float]
 
@@ -118,11 +118,11 @@ def _paper_coordinates(findings: Findings) -> Coordinates:
     columns = [space.names.index(name) for name in TABLE_1.names]
     F = paper_features(findings.X[:, columns])
 
-    def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
-        table, feasible = designs_with(rows, space.low[columns], space.high[columns])
+    def at(rows: Array) -> Prediction:
+        table, exists = designs_with(rows, space.low[columns], space.high[columns])
         X = np.empty_like(table)
         X[:, columns] = table
-        return predict(campaign, findings.classifier, X), feasible
+        return predict(campaign, findings.classifier, X, exists)
 
     return Coordinates(
         [quantity(name) for name in PAPER_FEATURES],
@@ -168,8 +168,8 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
         case _:
             planes = []
 
-    def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
-        return predict(campaign, findings.classifier, space.nearest(rows)), np.ones(len(rows), dtype=bool)
+    def at(rows: Array) -> Prediction:
+        return predict(campaign, findings.classifier, space.nearest(rows))
 
     width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
     shown = [*of_choices, *planes]
@@ -201,18 +201,10 @@ def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | Non
     rows[:, x], rows[:, y] = across.ravel(), up.ravel()
     beyond = predict(campaign, findings.classifier, space.nearest(rows)).beyond
     shades = filled_contours(axes, across, up, beyond.reshape(across.shape))
-    answered = findings.answered
-    scatter_outcomes(
-        axes,
-        findings.X[answered, x],
-        findings.X[answered, y],
-        findings.outcome[answered],
-        campaign.simulator.outcomes,
-        28.0,
-    )
+    draw_marks(axes, marks_in(findings, X, [x, y]), campaign.simulator.outcomes, 28.0)
     colour_bar(cast(Figure, axes.get_figure(root=True)), axes, shades, f"P({plain(findings.beyond)})")
     axes.set(xlabel=named[x].axis, ylabel=named[y].axis)
-    axes.legend(handles=outcome_handles(campaign.simulator.outcomes))
+    axes.legend(handles=[*outcome_handles(campaign.simulator.outcomes), *nowhere_handles(beyond)])
     return axes
 
 
@@ -230,6 +222,34 @@ class Marks(NamedTuple):
     opacity: float
 
 
+_PALE = 0.3
+"""Opacity of the marks of designs that differ from those of the plane."""
+
+_NEAR = 0.25
+"""Root mean square difference in the other variables, over their ranges, up to which a plane shows a mark in full."""
+
+
+def marks_in(findings: Findings, design: Array, plane: list[int]) -> list[Marks]:
+    """The simulated designs in a plane through a design, (d,), those like it last.
+
+    The others are pale: they have another choice, or differ much in the other variables.
+    """
+    rows, space = findings.answered, findings.campaign.space
+    X, outcome = findings.X[rows], findings.outcome[rows]
+    is_choice = np.array([bool(one.choices) for one in space.parameters])
+    numbers = np.setdiff1d(np.flatnonzero(~is_choice), plane)
+    apart = (space.to_unit(X) - space.to_unit(design[None]))[:, numbers]
+    near = (apart**2).sum(axis=1) <= _NEAR**2 * len(numbers)
+    near &= np.all(X[:, is_choice] == design[is_choice], axis=1)
+    return [Marks(X[some][:, plane], outcome[some], opacity) for some, opacity in ((~near, _PALE), (near, 1.0))]
+
+
+def draw_marks(axes: Axes, marks: Sequence[Marks], outcomes: Sequence[str], size: float) -> None:
+    """Draw designs in a plane."""
+    for places, outcome, opacity in marks:
+        scatter_outcomes(axes, places[:, 0], places[:, 1], outcome, outcomes, size, opacity)
+
+
 @styled()
 def plot_variable_plane(
     quantities: tuple[Quantity, Quantity],
@@ -245,7 +265,7 @@ def plot_variable_plane(
     Args:
         quantities: of the two axes.
         along: (n,) and (m,) values on the axes.
-        values: (m, n) between 0 and 1.
+        values: (m, n) between 0 and 1; NaN where there is no design.
         title: of the values.
         marks: the designs.
         outcomes: names, for the marks' looks.
@@ -254,11 +274,12 @@ def plot_variable_plane(
     x, y = along
     figure, axes = panel(4.0, 3.4)
     shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
-    for one in marks:
-        scatter_outcomes(axes, one.places[:, 0], one.places[:, 1], one.outcome, outcomes, 22.0, one.opacity)
+    draw_marks(axes, marks, outcomes, 22.0)
     axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     colour_bar(figure, axes, shades, title, uncertainty)
     axes.set_title(title if uncertainty else f"{title}; thick line: one half")
+    if nowhere := nowhere_handles(values):
+        legend_outside(figure, handles=nowhere)
     return figure
 
 
@@ -283,7 +304,8 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     figure = Figure(figsize=(inches, 2.8 * len(titles) + 0.8), layout="constrained")
     grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
     size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
-    blank = False
+    others = [k for k, one in enumerate(campaign.space.parameters) if whole and one.choices and k != plane.third]
+    alike, nowhere = np.all(F[:, others] == c.middle[others], axis=1), list[Patch]()
     for column, third in enumerate(values):
         rows = np.tile(c.middle, (x.size, 1))
         rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
@@ -291,15 +313,18 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
         if plane.third >= 0:
             rows[:, plane.third] = third
             shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
-        prediction, exists = c.predict(rows)
-        blank = blank or not exists.all()
+        prediction = c.predict(rows)
+        nowhere = nowhere or nowhere_handles(prediction.beyond)
+        marks = [
+            Marks(F[some][:, [plane.x, plane.y]], outcome[some], opacity)
+            for some, opacity in ((shown & ~alike, _PALE), (shown & alike, 1.0))
+        ]
         layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
         for row, layer in enumerate(layers):
             axes = grid[row, column]
             last = row == len(layers) - 1
-            Z = np.where(exists, layer, np.nan).reshape(x.shape)
-            shades = filled_contours(axes, x, y, Z, uncertainty=last)
-            scatter_outcomes(axes, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 28.0)
+            shades = filled_contours(axes, x, y, layer.reshape(x.shape), uncertainty=last)
+            draw_marks(axes, marks, outcomes, 28.0)
             axes.set(xlim=x_limits, ylim=y_limits)
             if column == 0:
                 axes.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)
@@ -312,7 +337,5 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                 axes.set_title(f"{third_symbol}{between}= {value}")
             if column == len(values) - 1:
                 colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
-    if blank:
-        handles.append(Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space"))
-    legend_outside(figure, "outside upper center", handles)
+    legend_outside(figure, "outside upper center", [*handles, *nowhere])
     return figure

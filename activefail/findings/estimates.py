@@ -428,25 +428,5 @@ class SurfaceFindings(_Verified):
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
-        one = self.estimate
-        failed = f"; {one.numerical_failures} failed numerically" if one.numerical_failures else ""
-        classes = [
-            (
-                f"P {part.low_edge:g} to {part.high_edge:g}",
-                f"{percent(part.observed)} observed ({interval_percent(part.low, part.high)}), "
-                f"{percent(part.predicted)} predicted, {part.simulations} simulations",
-            )
-            for part in one.calibration
-        ]
-        rows = [
-            ("campaign", f"{self.learned} simulations, iteration {self.iteration}"),
-            (
-                "log score",
-                f"{one.log_score:.3f} ({one.low:.3f} to {one.high:.3f}) nat: mean log P of the side of the boundary of "
-                f"{self.boundary} on which {one.simulations} fresh simulations ended{failed}",
-            ),
-            ("expected", f"{one.expected_log_score:.3f} by the classifier's own probabilities, without an interval"),
-            *classes,
-            ("", f"intervals with {100 * one.confidence:g} % confidence each"),
-        ]
-        return titled(rows)
+        row = ("campaign", f"{self.learned} simulations, iteration {self.iteration}")
+        return titled([row, *self.estimate.rows(self.boundary)])

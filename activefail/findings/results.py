@@ -33,7 +33,7 @@ _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predictions for n designs.
+    """Predictions for n designs; NaN for those that do not exist.
 
     Attributes:
         probabilities: (n, number of outcomes).
@@ -67,17 +67,24 @@ def information(predicted: Predicted, severity: int) -> Array:
     return np.asarray(binary_entropy(_WEIGHTS @ p) - _WEIGHTS @ binary_entropy(p))
 
 
-def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
-    """Predict the outcomes of designs, (n, d)."""
-    predicted = classifier.predicted(X)
+def predict(
+    campaign: Campaign, classifier: Classifier, X: Array, possible: NDArray[np.bool_] | bool = True
+) -> Prediction:
+    """Predict the outcomes of designs, (n, d); those that break a constraint, or are not possible, do not exist."""
+    exists = campaign.space.meets_constraints(X) & possible
+    predicted = classifier.predicted(X[exists])
     moments = predicted.moments[campaign.severity - 1]
-    return Prediction(
+    values = (
         predicted.probabilities,
         *interval(predicted, campaign.severity),
         predicted.beyond(campaign.severity),
         moments.mean,
         moments.sd,
     )
+    filled = [np.full((len(X), *one.shape[1:]), np.nan) for one in values]
+    for column, one in zip(filled, values, strict=True):
+        column[exists] = one
+    return Prediction(*filled)
 
 
 @dataclass(frozen=True)
@@ -126,6 +133,7 @@ class Findings:
             moved = pool.copy()
             # Rolling redraws the variable without a random number; by half the sample, a Sobol' point hardly moves.
             moved[:, column] = np.roll(pool[:, column], len(pool) // 3)
+            moved = np.where(self.campaign.space.meets_constraints(moved)[:, None], moved, pool)
             changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
         return np.array(changes)
 

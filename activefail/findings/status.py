@@ -146,8 +146,10 @@ class Status:
         probability, low, high = alike(probability, *lognormal_interval(probability, math.hypot(sd, error), REACH))
         seen = all(self.summary.counts[:-1])
         interval = f"95 % interval {low} to {high}" if seen else "without an interval"
-        text = f"probability {probability} under the classifier, {interval}; "
-        return [*lines, ("estimate", text + "`activefail probability` estimates it from fresh simulations")]
+        text = f"probability {probability} under the classifier, {interval}"
+        if "probability" not in self.summary.settings.refused:
+            text += "; `activefail probability` estimates it from fresh simulations"
+        return [*lines, ("estimate", text)]
 
     def _estimated(self, outcome: str, of: Mapping[str, Any]) -> str:
         """An estimate of an outcome's probability in words, from its numbers in JSON."""

@@ -18,6 +18,7 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.scores import Score, last_error, learning_curve, score
 from activefail.verification.stored_sets import VALIDATION, set_name, sizes_of_test_sets, stored_set
+from activefail.verification.surface import SurfaceScore, last_surface
 
 _BUDGETS = 5
 
@@ -103,12 +104,14 @@ class Evidence:
 
     Attributes:
         curve, reliability, error: None if the record has no data for it; `error` as its numbers in JSON.
-        missing: the missing evidence, by section of the report.
+        surface: in place of the error, if the simulator does not repeat.
+        missing: the missing evidence that the campaign can give, by section of the report.
     """
 
     curve: Curve | None
     reliability: Reliability | None
     error: Mapping[str, Any] | None
+    surface: SurfaceScore | None
     missing: dict[str, str]
 
 
@@ -145,17 +148,16 @@ def evidence_of(
     """The evidence for a campaign with at least one simulation."""
     stage("reading comparison and verification")
     curve, note = curve_of(campaign, store, stage)
-    missing = {} if note is None else {"curve": note}
+    refused = campaign.settings.refused
+    missing = {} if note is None or "compare" in refused else {"curve": note}
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
         missing["reliability"] = "a test set, or a complete initial design"
-    error = last_error(store)
-    if error is not None:
-        # Sets that other code simulated are not read, and then the error is not of this simulator.
-        sets = [name for name in store.set_names() if name.startswith(("look-", "verification-"))]
-        error = error if any(store.read_set(name) is not None for name in sets) else None
-    if error is None:
-        missing["error"] = (
-            "a verification of the classifier's error; `activefail verify` also reads what it once simulated"
-        )
-    return Evidence(curve, reliability, error, missing)
+    error, surface = last_error(store), last_surface(store)
+    # Sets that other code simulated are not read, and then what they verified is not of this simulator.
+    sets = [name for name in store.set_names() if name.startswith(("look-", "verification-", "surface-"))]
+    if not any(store.read_set(name) is not None for name in sets):
+        error = surface = None
+    if error is None and surface is None and "verify" not in refused:
+        missing["error"] = "a verification of the classifier; `activefail verify` also reads what it once simulated"
+    return Evidence(curve, reliability, error, surface, missing)

@@ -257,24 +257,31 @@ def _commands(findings: Findings, evidence: Evidence, done: int, risk: RiskFindi
     if (curve := evidence.curve) is not None and curve.source == "compare":
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in curve.scores}))
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {curve.test_size + curve.unanswered}")
-    if (error := evidence.error) is not None:
+    if error := evidence.error or (evidence.surface and evidence.surface.as_json()):
         asked = f"--simulations {error['simulations'] + error['numerical_failures']}"
         asked += f" --confidence {error['confidence']:g}" if error["confidence"] != 0.9 else ""
         commands.append(f"activefail verify {folder} {asked}")
     return [*commands, f"activefail report {folder}{f' {risk.request.options}' if risk else ''}"]
 
 
+def _verifies(campaign: Campaign) -> str:
+    """What `verify` does with the campaign."""
+    if campaign.settings.is_repeatable:
+        return "estimates with an interval how much of the design space the classifier gets wrong"
+    return "scores the classifier's probabilities by fresh simulations"
+
+
 def _next_step(
     campaign: Campaign, evidence: Evidence, folder: str, failure: FailureFindings | None, has_risk: bool
 ) -> tuple[str, str]:
     """What a reader of the page about a complete campaign in a run folder (quoted) does next: a command, and why."""
-    if failure is not None and not campaign.is_elsewhere:
+    if failure is not None and "probability" not in campaign.settings.refused:
         if failure.estimate is None and failure.asked is None:
             return f"activefail probability {folder}", "estimates the probability with an interval"
         return f"activefail sensitivity {folder}", "says which variables matter"
-    if not campaign.is_elsewhere and "error" in evidence.missing:
-        return f"activefail verify {folder}", "estimates with an interval how much the classifier gets wrong"
-    if not campaign.is_elsewhere and "curve" in evidence.missing:
+    if "error" in evidence.missing:
+        return f"activefail verify {folder}", _verifies(campaign)
+    if "curve" in evidence.missing:
         return f"activefail compare {folder}", "compares the campaign with static designs"
     if has_pulse(campaign.space) and not has_risk:
         command = f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml"
@@ -341,6 +348,7 @@ def render(
         "folder": folder,
         "continues": continues,
         "next_step": next_step,
+        "verifies": _verifies(campaign),
         "commands": _commands(findings, evidence, done, risk),
         "drawn": isinstance(campaign.simulator, DfpSimulator),
         "frozen": text,

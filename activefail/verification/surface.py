@@ -3,7 +3,7 @@
 Fresh simulations of random designs judge P(at least as severe | design). No design is wrong: its outcome is random.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,13 @@ from scipy.stats import t
 
 from activefail.campaign.random_streams import stream
 from activefail.errors import SimulationError
+from activefail.record.store import Store
+from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import fits, keep
 from activefail.verification.stored_sets import set_name
 
 EDGES = (0.0, 0.1, 0.3, 0.7, 0.9, 1.0)
@@ -71,6 +74,28 @@ class SurfaceScore:
         """The score as JSON values; `docs/reference/json.md` describes the keys."""
         return asdict(self)
 
+    def rows(self, boundary: str) -> list[tuple[str, str]]:
+        """Titles and texts of the score and the calibration, for the outcome of the boundary."""
+        failed = f"; {self.numerical_failures} failed numerically" if self.numerical_failures else ""
+        classes = [
+            (
+                f"P {part.low_edge:g} to {part.high_edge:g}",
+                f"{percent(part.observed)} observed ({interval_percent(part.low, part.high)}), "
+                f"{percent(part.predicted)} predicted, {part.simulations} simulations",
+            )
+            for part in self.calibration
+        ]
+        return [
+            (
+                "log score",
+                f"{self.log_score:.3f} ({self.low:.3f} to {self.high:.3f}) nat: mean log P of the side of the boundary "
+                f"of {boundary} on which {self.simulations} fresh simulations ended{failed}",
+            ),
+            ("expected", f"{self.expected_log_score:.3f} by the classifier's own probabilities, without an interval"),
+            *classes,
+            ("", f"intervals with {100 * self.confidence:g} % confidence each"),
+        ]
+
 
 def score(probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: float) -> SurfaceScore:
     """The score of probabilities, (n,), by whether simulations ended beyond the boundary, (n,); others were lost."""
@@ -99,4 +124,18 @@ def verify_surface(estimator: Estimator, simulations: int, confidence: float) ->
         raise SimulationError(f"simulations: two must give an outcome, got {answered.sum()} of {simulations}.")
     probability = estimator.classifier.predicted(X[answered]).beyond(campaign.severity)
     beyond, lost = results.outcome[answered] >= campaign.severity, int((~answered).sum())
-    return score(probability, beyond, lost, confidence)
+    found = score(probability, beyond, lost, confidence)
+    keep(estimator.store, _surface_of(estimator.store), found.as_json())
+    return found
+
+
+def _surface_of(store: Store) -> tuple[str, ...]:
+    return "surface", store.digest
+
+
+def last_surface(store: Store) -> SurfaceScore | None:
+    """The score that was found last; None unless it is of this record."""
+    value = store.recall(_surface_of(store))
+    if not fits(value, {one.name: object for one in fields(SurfaceScore)}):
+        return None
+    return SurfaceScore(**value | {"calibration": tuple(CalibrationClass(**one) for one in value["calibration"])})

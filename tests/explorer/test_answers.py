@@ -19,6 +19,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers
+from activefail.figures.outcome_planes import marks_in
 from activefail.findings.results import predict
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
@@ -164,8 +165,8 @@ def test_a_start_far_from_every_boundary_is_not_called_a_design_at_one(answers, 
     assert answers.about()["presets"][0]["text"] == "the least certain design"
 
 
-def test_a_plane_marks_every_simulated_design_and_pales_those_that_differ_in_the_other_variables(answers, findings):
-    pale, full = answers._marks(FAILING, [7, 8])
+def test_a_plane_marks_every_simulated_design_and_pales_those_that_differ_in_the_other_variables(findings):
+    pale, full = marks_in(findings, np.array(FAILING), [7, 8])
     rows = findings.answered
     assert len(pale.places) + len(full.places) == rows.sum()
     apart = (findings.X[rows] - FAILING) / (findings.campaign.space.high - findings.campaign.space.low)
