@@ -281,8 +281,8 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
 
     It differs from the result by as much as values that the last look alone would give. None for a variable of choices.
     """
-    task, look, (first, *others) = designed.task, designed.result, designed.task.free
-    model, held = _model_of(estimator, task), {name: designed.values[name] for name in others}
+    task, look, (first, *held_ones) = designed.task, designed.result, designed.task.free
+    model, held = _model_of(estimator, task), {name: designed.values[name] for name in held_ones}
 
     def value(confidence: float) -> float:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
@@ -293,7 +293,8 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
 
     if first in task.choices or math.isnan(own := value(task.confidence)):
         return {}
-    moved = {one: designed.values[first] + value(one) - own for one in _CONFIDENCES if one != task.confidence}
+    others = [one for one in _CONFIDENCES if one != task.confidence]
+    moved = {one: round(designed.values[first] + value(one) - own, 12) for one in others}
     return {one: at if task.low[first] <= at <= task.high[first] else math.nan for one, at in moved.items()}
 
 
