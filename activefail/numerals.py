@@ -29,3 +29,8 @@ def number_of_program(text: str) -> float:
     """
     match = _WITHOUT_E.fullmatch(text)
     return number_in(f"{match[1]}e{match[2]}" if match else text)
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things in words."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"

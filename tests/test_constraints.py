@@ -14,6 +14,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.explorer.answers import Answers
 from activefail.figures.outcome_planes import coordinates
+from activefail.findings.results import predict
 
 SPACE = """
 simulator = { python = "mine:gap", margins = ["margin"] }
@@ -128,6 +129,7 @@ def test_designs_that_break_a_constraint_are_not_drawn(folder: Path) -> None:
         prediction = coordinates(run.findings).predict(np.array([inside, outside]))
         assert np.isfinite(prediction.beyond).tolist() == [True, False]
         assert np.isfinite(prediction.probabilities).all(axis=1).tolist() == [True, False]
+        assert np.isnan(predict(run.campaign, run.findings.classifier, np.array([outside, outside])).mean).all()
         axes = run.plot_boundary("depth", "gap", axes=Figure().subplots())
         assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "no design in the space"
         answers = Answers(run.findings)

@@ -796,6 +796,27 @@ def test_pages_advise_no_command_that_the_campaign_refuses(folder: Path) -> None
     assert [command for command in ("verify", "probability", "compare") if f"activefail {command}" in page] == []
 
 
+def test_status_and_report_say_the_same_of_simulations_batches_and_learner(lab: Path) -> None:
+    folder = lab.with_name("run")
+    with af.create_run(folder, lab) as run:
+        first = answered(run.ask(8))
+        outcome = np.where(first["g"] > 0.0, "safe", "failure").astype(object)
+        outcome[0], first.loc[0, "g"] = "numerical_failure", np.nan
+        run.tell(first.assign(outcome=outcome))
+        assert "learner    regression of the margin g on design features, or rbf" in activefail("status", folder).out
+        run.tell(answered(run.ask(5)))
+        run.ask(1)
+        safe, failing = (int((run.simulations["outcome"] == name).sum()) for name in ("safe", "failure"))
+        run.report()
+    counts = f"{safe} safe, {failing} failure, 1 numerical failure"
+    told, page = activefail("status", folder).out, (folder / "report.html").read_text()
+    assert f"all        {counts}\n" in told
+    assert "learner    regression of the margin g on design features\n" in told
+    assert f"13: {counts}<" in page
+    assert "<dd>5 in 1 batch<" in page
+    assert "Gaussian process regression of the margin g" in page
+
+
 def test_settings_that_need_a_simulator_are_refused_elsewhere(lab: Path) -> None:
     for line, key in (
         ("stop = { error = 0.1 }", "stop.error"),

@@ -22,6 +22,7 @@ from activefail.cli.common import (
     table_output,
 )
 from activefail.errors import InputError
+from activefail.numerals import counted
 from activefail.record.layout import check_output
 from activefail.visible import quoted, visible
 
@@ -107,7 +108,7 @@ def ask(
         show_warnings(opened.store.new_warnings())
         waiting = opened.counts["in_flight"] - (0 if in_flight else len(table))
         if reason := table.attrs.get("reason", ""):
-            print(f"{_counted(len(table), 'design')} instead of {n}: {visible(reason)}", file=sys.stderr)
+            print(f"{counted(len(table), 'design')} instead of {n}: {visible(reason)}", file=sys.stderr)
         if len(table):
             print(f"{_numbers(table)} written to {name_of(csv)}")
         else:
@@ -162,11 +163,6 @@ def _shown_warnings() -> Iterator[None]:
     show_warnings(str(one.message) for one in caught)
 
 
-def _counted(number: int, thing: str) -> str:
-    """A number of things in words."""
-    return f"{number} {thing}{'' if number == 1 else 's'}"
-
-
 def _numbers(table: "DataFrame") -> str:
     ids = table["id"].tolist()
     if len(ids) == 1:
@@ -200,9 +196,9 @@ def tell(
         if correct:
             _show_corrections(opened, new)
     if correct:
-        print(f"{_counted(new, 'result')} corrected")
+        print(f"{counted(new, 'result')} corrected")
     else:
-        print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
+        print(f"{counted(new, 'new result')} recorded; {counted(left, 'design')} in flight")
     show_unseen(summary)
 
 
@@ -251,7 +247,7 @@ def drop(
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         number = opened.drop(numbers)
         left = opened.counts["in_flight"]
-    print(f"{_counted(number, 'design')} dropped; {_counted(left, 'design')} in flight")
+    print(f"{counted(number, 'design')} dropped; {counted(left, 'design')} in flight")
 
 
 def _id(text: str) -> int:
@@ -277,5 +273,5 @@ def add(
         with _shown_warnings():
             new = opened.add(table_input(csv), names=_names(names), skip_invalid=skip_invalid, outside=outside)
         summary = opened.summary
-    print(f"{_counted(new, 'simulation')} added")
+    print(f"{counted(new, 'simulation')} added")
     show_unseen(summary)

@@ -45,6 +45,7 @@ class Coordinates:
         predict: maps coordinates, (rows, m), to predictions of designs with them.
         planes: the planes to draw.
         widths: half-widths of the slices at the values of a plane's third coordinate.
+        choices: columns of the coordinates without order.
     """
 
     quantities: Sequence[Quantity]
@@ -53,6 +54,7 @@ class Coordinates:
     predict: Callable[[Array], Prediction]
     planes: Sequence[Plane]
     widths: Callable[[Plane, float], float]
+    choices: Sequence[int] = ()
 
 
 LOGARITHMIC = (0, 1, 2, 5, 6, 7, 8)
@@ -173,7 +175,15 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
 
     width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
     shown = [*of_choices, *planes]
-    return Coordinates(variables(campaign), findings.X, middle, at, shown, lambda plane, _: float(width[plane.third]))
+    return Coordinates(
+        variables(campaign),
+        findings.X,
+        middle,
+        at,
+        shown,
+        lambda plane, _: float(width[plane.third]),
+        np.flatnonzero(is_choice).tolist(),
+    )
 
 
 def middle_of(space: DesignSpace) -> Array:
@@ -304,7 +314,7 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     figure = Figure(figsize=(inches, 2.8 * len(titles) + 0.8), layout="constrained")
     grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
     size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
-    others = [k for k, one in enumerate(campaign.space.parameters) if whole and one.choices and k != plane.third]
+    others = [column for column in c.choices if column != plane.third]
     alike, nowhere = np.all(F[:, others] == c.middle[others], axis=1), list[Patch]()
     for column, third in enumerate(values):
         rows = np.tile(c.middle, (x.size, 1))

@@ -72,7 +72,8 @@ def predict(
 ) -> Prediction:
     """Predict the outcomes of designs, (n, d); those that break a constraint, or are not possible, do not exist."""
     exists = campaign.space.meets_constraints(X) & possible
-    predicted = classifier.predicted(X[exists])
+    # Not every model predicts for no design at all.
+    predicted = classifier.predicted(X[exists] if exists.any() else X[:1])
     moments = predicted.moments[campaign.severity - 1]
     values = (
         predicted.probabilities,

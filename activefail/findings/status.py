@@ -10,7 +10,7 @@ from typing import Any
 
 from activefail.campaign.known_code import known_code
 from activefail.campaign.settings import read_settings
-from activefail.findings.learned_from import LearnedFrom, saved_choices, source_in_words
+from activefail.findings.learned_from import LearnedFrom, candidate_of, saved_choices, source_in_words
 from activefail.findings.summary import Summary, features_in_words, where_lost
 from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
@@ -117,6 +117,8 @@ class Status:
         """What is learned and where, in words."""
         line, features = self.summary.learner, f"on {features_in_words(self.summary.settings)} features"
         margins = [one.margin for one in self._choices]
+        if not margins and (name := candidate_of(self.learnable, self.summary.settings.classifier.learns)):
+            return f"regression of {source_in_words(name)} {features}, or {line}"
         names = " and ".join(dict.fromkeys(source_in_words(margin) for margin in margins if margin))
         if not names:
             return line

@@ -16,6 +16,7 @@ from activefail.campaign.sections import (
 )
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
+from activefail.numerals import counted
 from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, Schema
 from activefail.shares import percent
@@ -147,7 +148,6 @@ class Summary:
         done = f"{self.done} of {settings.sampling.budget} simulations"
         if self.done > settings.sampling.budget:
             done = f"{self.done} simulations, {settings.sampling.budget} planned"
-        names = (*self.outcomes, "numerical failures")
         lines = [
             ("simulator", f"{simulator_in_words(settings)}, {variables} variables, seed {settings.seed}"),
             ("learner", self.learner),
@@ -155,8 +155,10 @@ class Summary:
         ]
         for title, counts in self.origins.items():
             if title != "given" or counts.any():
-                lines.append((title, ", ".join(f"{n} {name}" for n, name in zip(counts, names, strict=True))))
-        corrected = f"{self.corrected} correction{'' if self.corrected == 1 else 's'}" if self.corrected else ""
+                *texts, lost = counts.tolist()
+                texts = [f"{n} {name}" for n, name in zip(texts, self.outcomes, strict=True)]
+                lines.append((title, ", ".join([*texts, counted(lost, "numerical failure")])))
+        corrected = counted(self.corrected, "correction") if self.corrected else ""
         more = [("corrected", corrected), ("in flight", self.flight_in_words)]
         return lines + [(title, text) for title, text in more if text]
 
@@ -177,7 +179,7 @@ class Summary:
         # A numerical failure of the initial design may hide an unseen outcome.
         answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])
         bound = percent(upper_bound(unanswered, answered + unanswered, _CONFIDENCE))
-        hidden = f" and {unanswered} numerical failure{'' if unanswered == 1 else 's'}" if unanswered else ""
+        hidden = f" and {counted(unanswered, 'numerical failure')}" if unanswered else ""
         names, is_one = " or ".join(unseen), len(unseen) == 1
         return (
             f"None of the campaign's {self.counts[:-1].sum()} simulations ended in {names}. "

@@ -33,6 +33,7 @@ from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
+from activefail.numerals import counted
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
@@ -82,8 +83,11 @@ def _counts(findings: Findings) -> dict[str, Any]:
     groups["all"] = np.ones(len(findings.X), dtype=bool)
     code = np.where(findings.answered, findings.outcome, len(outcomes))
     counts = {title: np.bincount(code[rows], minlength=len(outcomes) + 1) for title, rows in groups.items()}
+    *asked, lost = (counts["initial design"] + counts["active designs"]).tolist()
+    texts = [f"{n} {words(name)}" for n, name in zip(asked, outcomes, strict=True)]
+    texts += [counted(lost, "numerical failure")] * bool(lost)
     figure = plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes)
-    return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": counts}
+    return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": counts, "asked": ", ".join(texts)}
 
 
 def _curve(findings: Findings, curve: Curve | None) -> dict[str, Any]:
@@ -239,6 +243,7 @@ def _learner(findings: Findings) -> dict[str, Any]:
     return {
         "chosen": sizes.sum(),
         "batches": len(sizes),
+        "of_a_size": sizes.max(initial=0) <= findings.campaign.settings.sampling.batch,
         "checked": len(checks),
         "checks": len(np.unique(checks)),
         "ended_within_a_batch": bool(np.any(sizes[:-1] < findings.campaign.settings.sampling.batch)),

@@ -13,6 +13,7 @@ from scipy.stats import t
 
 from activefail.campaign.random_streams import stream
 from activefail.errors import SimulationError
+from activefail.numerals import counted
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -81,7 +82,7 @@ class SurfaceScore:
             (
                 f"P {part.low_edge:g} to {part.high_edge:g}",
                 f"{percent(part.observed)} observed ({interval_percent(part.low, part.high)}), "
-                f"{percent(part.predicted)} predicted, {part.simulations} simulations",
+                f"{percent(part.predicted)} predicted, {counted(part.simulations, 'simulation')}",
             )
             for part in self.calibration
         ]

@@ -449,7 +449,8 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
 
     def predicted(rows):
         P = np.full((len(rows), len(outcomes)), 1.0 / len(outcomes))
-        return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0]), np.arange(len(rows)) > 5
+        P[:6] = np.nan
+        return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0], beyond=P[:, -1])
 
     plane = outcome_planes.Plane("plane", 0, 1, third, (12000.0, 15000.0, 18000.0), (0.0, 0.0, 0.0))
     F = 1e5 * rng.random((40, 3))

@@ -174,8 +174,10 @@ class DesignFindings:
                 "design comes nearest to it."
             )
         elif candidate.compared:
+            allowed = " that the constraints allow" if task.constraints else ""
             sentences.append(
-                f"All {candidate.compared} designs of the free variables' values were compared by the classifier. It "
+                f"All {candidate.compared} designs of the free variables' values{allowed} were compared by the "
+                f"classifier. It "
                 f"puts those that are {kind}er than this one above the search's goal, and this one below it."
             )
         elif len(candidate.ranges) > 1 or (candidate.ranges and candidate.ranges[0][1] < task.high[task.free[0]]):
