@@ -257,9 +257,9 @@ class Table:
         if cell is None:
             raise self.broken(row, of.name, of.rule, cell)
         try:
-            return of.number_of(cell)
-        except ValueError as rule:
-            raise self.broken(row, of.name, str(rule), cell) from None
+            return of.number_of(cell if of.has_texts else self._number_of(cell))
+        except (TypeError, ValueError, ArithmeticError):
+            raise self.broken(row, of.name, of.rule, cell) from None
 
     def designs(self, space: DesignSpace) -> Array:
         """The designs in columns, (rows, d).
@@ -379,7 +379,7 @@ class DesignTable:
         for part in parts_of(self.source, ROWS_AT_ONCE):
             if part.rows:
                 X = part.designs(self.space)
-                for place in [part.columns.index(one.name) for one in self.space.parameters if not one.choices]:
+                for place in [part.columns.index(one.name) for one in self.space.parameters if not one.has_texts]:
                     for cells in part.rows if part.decimal_marks else ():
                         cells[place] = cells[place].replace(",", ".")
                 yield part.rows, X
@@ -388,7 +388,7 @@ class DesignTable:
 def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
     """The rows of a CSV table without blank lines, in parts of at most so many; the last part may have none.
 
-    Columns may also be separated by semicolons or tabs; numbers may then have decimal commas.
+    Columns may also be separated by tabs, or by semicolons; numbers may then have decimal commas.
 
     Raises:
         InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
@@ -405,10 +405,10 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
         # Spreadsheets write a byte order mark.
         encoding = "utf-16" if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
         with path.open(encoding=encoding, newline="") as file:
-            title = re.sub('"[^"]*"', "", file.readline())
+            title = re.sub(r'"[^"]*"|\[[^]]*\]|\([^)]*\)', "", file.readline())
             file.seek(0)
             separator = max(",;\t", key=title.count)
-            decimal_marks = None if separator == "," else set[str]()
+            decimal_marks = set[str]() if separator == ";" else None
             lines = csv.reader(file, delimiter=separator, strict=True)
             columns = _header(name, next(lines, None))
             for number, cells in enumerate(filter(None, lines), 1):

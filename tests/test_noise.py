@@ -179,6 +179,9 @@ def test_a_program_that_does_not_repeat_is_run_verified_and_keeps_a_folder_for_e
         assert len(list(opened.campaign.simulator.work.iterdir())) == 14
     verified = activefail("verify", tmp_path / "run", "--simulations", "10", "--code", tmp_path)
     assert "log score" in verified.out, verified.err
+    written = (tmp_path / "run" / "journal").read_bytes()
+    assert activefail("verify", tmp_path / "run", "--simulations", "10", "--code", tmp_path).out == verified.out
+    assert (tmp_path / "run" / "journal").read_bytes() == written
     reported = activefail("report", tmp_path / "run", "--code", tmp_path)
     page = (tmp_path / "run" / "report.html").read_text()
     assert verified.out.splitlines()[1].removeprefix("log score ").strip() in page

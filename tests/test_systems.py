@@ -77,6 +77,17 @@ def test_the_margins_of_a_system_are_a_whole_answer(answer: object, outcome: int
     assert result.outcome.tolist() == [outcome]
 
 
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_the_margins_of_a_system_may_stand_beside_a_cause_and_nothing_else(wrapped: bool) -> None:
+    system, margins = parse_system("min(bending, max(shear, drift))", NAMES), {"bending": -0.1}
+    answer = {"margins": margins} if wrapped else margins
+    rules = ("safe", "failure"), tuple(NAMES), (), 0.0, system, ("", "buckling")
+    result = read_answer(answer | {"cause": "buckling"}, *rules)
+    assert (result.outcome.tolist(), result.cause.tolist()) == ([1], [1])
+    with pytest.raises(UnusableAnswerError, match="'note'"):
+        read_answer(answer | {"note": 1.0}, *rules)
+
+
 def test_margins_that_leave_the_outcome_open_are_no_answer() -> None:
     system = parse_system("min(bending, max(shear, drift))", NAMES)
     with pytest.raises(UnusableAnswerError, match="margins: drift must be defined, since the others leave the outcome"):

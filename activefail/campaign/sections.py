@@ -386,7 +386,8 @@ class OutcomeSettings(Section):
     Attributes:
         outcomes: two or three names, the least severe first.
         margins: names of the numbers that it returns besides the outcome.
-        causes: names of what may decide an outcome, such as a mechanism; an answer or a result may name one.
+        causes: names of what may decide an outcome, such as a mechanism; an answer or a result may name one. Without
+            names, causes of answers are ignored.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
         system: failure where `min(...)` or `max(...)` of the margins is at most 0
@@ -435,9 +436,16 @@ class OutcomeSettings(Section):
                 raise ValueError(f"must be identifiers, got {name!r}")
             if names.count(name) > 1:
                 raise ValueError(f"must differ from each other, got {name!r} twice")
-        for name in {"numerical_failure", *EXECUTION_CAUSES.values()}.intersection(names):
-            raise ValueError(f"{name!r} is reserved for simulations without an outcome")
+        if "numerical_failure" in names:
+            raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
         return names
+
+    @field_validator("causes")
+    @classmethod
+    def _are_no_faults(cls, causes: list[str]) -> list[str]:
+        for name in {*EXECUTION_CAUSES.values()}.intersection(causes):
+            raise ValueError(f"{name!r} is reserved for simulations without an outcome")
+        return causes
 
     @field_validator("outcomes")
     @classmethod
@@ -627,7 +635,8 @@ class Sampling(Section):
             )
         if self.asynchronous and 2 * self.batch > self.initial:
             raise ValueError(
-                f"`initial` must be at least twice `batch` if asynchronous, got {self.initial} and {self.batch}"
+                f"`initial` must be at least twice `batch` if asynchronous, got {self.initial} and {self.batch}; set "
+                "`initial` or `batch`"
             )
         return self
 

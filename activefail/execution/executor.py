@@ -154,8 +154,8 @@ def run_keeping(
         return executor.run(simulator, X, arrived)
     except BaseException:
         if parts:
-            there = np.concatenate([X[row : row + len(part)] for row, part in parts.items()])
-            results = Results.concatenate([*parts.values()])
+            rows, results = sorted(parts), Results.concatenate([parts[row] for row in sorted(parts)])
+            there = np.concatenate([X[row : row + len(parts[row])] for row in rows])
             has_outcome = results.outcome != NUMERICAL_FAILURE
             keep(there[has_outcome], results[has_outcome])
         raise

@@ -183,9 +183,9 @@ class ProbabilityFindings:
         else:
             interval += f", {sure}"
         rows = [("interval", interval)]
-        if estimate.probability > 0.99 and not self.is_extrapolated:
+        if 0.99 < estimate.probability < 1.0 and not self.is_extrapolated:
             rest, least, most = alike(1.0 - estimate.probability, 1.0 - estimate.high, 1.0 - estimate.low)
-            rows.append(("otherwise", f"{rest}, {least} to {most}: the outcome is nearly certain"))
+            rows.append(("otherwise", f"{rest}, {least} to {most}"))
         rows += [
             (
                 "from",

@@ -61,7 +61,7 @@ def read_answer(
             answer.
         seconds: wall time.
         system: margins, (k,) -> the system's, at most 0 where it fails, NaN if they do not say; None without a system.
-        causes: names that it may contain; the first is none.
+        causes: names that it may contain; the first is none. If it is the only one, causes are ignored.
 
     Raises:
         UnusableAnswerError: if the answer breaks a rule.
@@ -70,17 +70,24 @@ def read_answer(
         answer = {"outcome": answer}
     elif levels and not isinstance(answer, Mapping):
         answer = _of_limit_state(answer, outcomes, margins[0], levels)
-    elif system is not None and isinstance(answer, Mapping) and "outcome" not in answer:
-        answer = _of_system(answer.get("margins", answer), outcomes, margins, system)
+    cause = ""
+    if isinstance(answer, Mapping) and "cause" not in margins:
+        cause = answer.get("cause", "")
+        answer = {key: value for key, value in answer.items() if key != "cause"}
+    if system is not None and isinstance(answer, Mapping) and "outcome" not in answer:
+        rest = {key: value for key, value in answer.items() if key != "margins"} if "margins" in answer else {}
+        answer = rest | _of_system(answer.get("margins", answer), outcomes, margins, system)
     if not isinstance(answer, Mapping):
         raise UnusableAnswerError(f"{_ways(outcomes)}, got {answer!r}")
-    keys = "outcome", "margins", "cause"
-    unknown = set(answer) - {*keys}
+    unknown = set(answer) - {"outcome", "margins"}
     if unknown:
-        raise UnusableAnswerError(f"the answer may contain only {', '.join(keys)}, got {min(map(str, unknown))!r}")
-    cause = answer.get("cause", "")
+        raise UnusableAnswerError(
+            f"the answer may contain only outcome, margins, cause, got {min(map(str, unknown))!r}"
+        )
+    if len(causes) == 1:  # none is declared
+        cause = ""
     if not isinstance(cause, str) or cause not in causes:
-        named = ", ".join(causes[1:]) or "none"
+        named = ", ".join(causes[1:])
         raise UnusableAnswerError(f"cause: must be one of simulator.causes, which names {named}, got {cause!r}")
     outcome, margin_values = answer.get("outcome"), answer.get("margins", {})
     outcome = outcome.value if isinstance(outcome, Enum) else outcome

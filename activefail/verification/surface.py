@@ -73,7 +73,7 @@ class SurfaceScore:
 
     def as_json(self) -> dict[str, Any]:
         """The score as JSON values; `docs/reference/json.md` describes the keys."""
-        return asdict(self)
+        return asdict(self) | {"calibration": [asdict(one) for one in self.calibration]}
 
     def rows(self, boundary: str) -> list[tuple[str, str]]:
         """Titles and texts of the score and the calibration, for the outcome of the boundary."""

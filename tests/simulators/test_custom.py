@@ -132,6 +132,9 @@ def test_an_answer_may_name_one_of_the_causes(tmp_path: Path) -> None:
     source = "def run(design):\n    return {'outcome': 'failure', 'cause': 'shear' if design['drift'] > 2.0 else ''}\n"
     model = replace(python(tmp_path, source=source), causes=("", "bending", "shear"))
     assert answer(model, X).cause.tolist() == np.where(X[:, 0] > 2.0, 2, 0).tolist()
+    assert answer(replace(model, causes=("",)), X).cause.tolist() == [0, 0, 0]
+    with pytest.raises(UnusableAnswerError, match=r"cause: must be one of simulator\.causes, which names bending, got"):
+        replace(model, causes=("", "bending")).run(X[X[:, 0] > 2.0])
 
 
 UNUSABLE = {
@@ -140,7 +143,6 @@ UNUSABLE = {
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
     "{'outcome': 'safe', 'margin': {}}": "may contain only outcome, margins, cause, got 'margin'",
-    "{'outcome': 'safe', 'cause': 'shear'}": "cause: must be one of simulator.causes, which names none, got 'shear'",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a dictionary of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be one number, .*, got None",
