@@ -169,7 +169,10 @@ def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
         points = lines[0].vertices
         p = run.predict({"x": points[:, 0], "y": points[:, 1], "soil": ["B"] * len(points)})["p_failure"]
         assert abs(p - 0.5).median() < 0.1
-        assert sum(len(drawn.get_offsets()) for drawn in axes.collections[-2:]) == 20
+        marks = axes.collections[-4:]
+        assert sum(len(drawn.get_offsets()) for drawn in marks) == 20
+        full = [drawn for drawn in marks if drawn.get_alpha() == 1.0]
+        assert sum(len(drawn.get_offsets()) for drawn in full) == (designs["soil"] == "B").sum()
         known, axes = run.failure(), Figure().add_subplot()
         assert run.plot_history(axes) is axes
         assert axes.lines[0].get_xydata()[-1].tolist() == [20.0, known.probability[-1]]
