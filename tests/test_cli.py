@@ -454,9 +454,7 @@ def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: P
     result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     assert result.code == 0
     assert result.err == "warning: 1 design lies outside the design space, where the classifier extrapolates\n"
-    judged, written = result.out.splitlines()
-    assert re.fullmatch(r"By its own .* from \d+ simulations the classifier is wrong for [\d.]+ % of the .*\.", judged)
-    assert written == f"written to {tmp_path / 'out.csv'}"
+    assert result.out == f"written to {tmp_path / 'out.csv'}\n"
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
 

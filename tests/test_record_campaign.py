@@ -47,8 +47,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     settings = (CAMPAIGNS / "records.toml").read_text(encoding="utf-8")
     for old, new in (
         ('set = "farfield"', 'set = "mine"'),
-        ("initial = 250", "initial = 20"),
-        ("budget = 500", "budget = 30"),
+        ("budget = 500", "initial = 20\nbudget = 30"),
         ("batch = 10", "batch = 5"),
         ("size = 500", "size = 0"),
     ):

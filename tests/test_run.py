@@ -171,7 +171,10 @@ def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
         assert abs(p - 0.5).median() < 0.1
         with pytest.warns(UserWarning, match="1 design lies outside the design space"):
             run.predict({"x": [0.5, 1.5], "y": [0.5, 0.5], "soil": ["A", "B"]})
-        assert sum(len(drawn.get_offsets()) for drawn in axes.collections[-2:]) == 20
+        marks = axes.collections[-4:]
+        assert sum(len(drawn.get_offsets()) for drawn in marks) == 20
+        full = [drawn for drawn in marks if drawn.get_alpha() == 1.0]
+        assert sum(len(drawn.get_offsets()) for drawn in full) == (designs["soil"] == "B").sum()
         known, axes = run.failure(), Figure().add_subplot()
         assert run.plot_history(axes) is axes
         assert axes.lines[0].get_xydata()[-1].tolist() == [20.0, known.probability[-1]]

@@ -192,8 +192,6 @@ def predict(
 ) -> None:
     """Predict the outcomes of designs by the classifier."""
     from activefail.findings.tables import outside_in_words
-    from activefail.shares import percent
-    from activefail.verification.error import expected_error
 
     with table_output("--out", out) as target:
         with opened_run(folder, code=code) as opened:
@@ -201,12 +199,6 @@ def predict(
             with progress_bar("predicting") as begin:
                 outside = opened.predict_table(table_input(csv), target, begin, after)
             show_unseen(summary)
-            if after is None and opened.settings.is_repeatable:
-                wrong = percent(expected_error(opened.campaign, opened.classifier))
-                learned = f"{len(opened.history)} simulations"
-                print(
-                    f"By its own probabilities from {learned} the classifier is wrong for {wrong} of the design space."
-                )
         if outside:
             show_warnings([outside_in_words(outside)])
         print(f"written to {name_of(out)}")
