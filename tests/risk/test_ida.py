@@ -482,7 +482,7 @@ def test_predictions_stand_beside_the_outcomes_under_records(case: Path, campaig
     expected = np.mean((amplitude < 0.1) | (amplitude > 0.8))
     assert classifier["outside"] == pytest.approx(expected, abs=0.03)
     X = np.column_stack([np.tile(BEARING, (80, 1)), np.repeat(periods, 10), amplitude.ravel()])
-    with open_run(campaign) as run:
+    with open_run(campaign) as run, pytest.warns(UserWarning, match="designs lie outside the design space"):
         fails = run.predict(X)["p_failure"].to_numpy() >= 0.5
     assert classifier["both_fail"] + classifier["false"] == pytest.approx(fails.sum(), abs=2)
     shown = activefail(*words).out
