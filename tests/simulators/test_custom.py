@@ -1059,7 +1059,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
     digests = [digest[:8] for digest in (former, digest_without_running("model:run", mine))]
     changed = f"was simulated with different code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
     # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
-    unverified = "a verification of the classifier's error"
+    unverified = "a verification of the classifier;"
     assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
     assert unverified in activefail("report", run, "--code", mine, "--out", tmp_path / "2.html").out
     assert sets(run) == before
