@@ -34,8 +34,6 @@ _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r]")
 _DECIMAL = re.compile(r"(\s*[+-]?(?=[.,]?\d)\d*)([.,])(\d*(?:[eE][+-]?\d+)?\s*)")
 """A number with a decimal mark: a comma in many countries, whose spreadsheets separate columns by semicolons."""
 
-_MARKS = "numbers have decimal points and decimal commas"
-
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
 
@@ -227,8 +225,9 @@ class Table:
             return math.nan
         try:
             number = self._number_of(value)
-        except (TypeError, ValueError, ArithmeticError) as error:
-            rule = "must be a number" + (" with the decimal mark of the others" if error.args == (_MARKS,) else "")
+        except (TypeError, ValueError, ArithmeticError):
+            has_other_mark = self.decimal_marks and _DECIMAL.fullmatch(str(value))
+            rule = "must be a number" + " with the decimal mark of the others" * bool(has_other_mark)
             raise self.broken(row, name, rule, value) from None
         if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):
             raise self.broken(row, name, "must fit a float64, at most 1.8e308 in size", value)
@@ -301,7 +300,7 @@ class Table:
             return float(value)
         if self.decimal_marks is not None and (parts := _DECIMAL.fullmatch(value)):
             if self.decimal_marks - {parts[2]}:
-                raise ValueError(_MARKS)
+                raise ValueError
             self.decimal_marks.add(parts[2])
             value = f"{parts[1]}.{parts[3]}"
         return number_in(value)

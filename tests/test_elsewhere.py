@@ -791,9 +791,10 @@ def test_pages_advise_no_command_that_the_campaign_refuses(folder: Path) -> None
     assert "missing" not in reported.out, reported.err
     page = (folder / "report.html").read_text()
     with af.open_run(folder) as run:
-        assert {*run.campaign.settings.refused} == {"verify", "probability", "compare"}
+        refused = {*run.campaign.settings.refused}
         page += str(site_of(Answers(run.findings))._failure()["html"])
-    assert [command for command in ("verify", "probability", "compare") if f"activefail {command}" in page] == []
+    assert refused == {"verify", "probability", "design", "compare"}
+    assert [command for command in refused if f"activefail {command}" in page] == []
 
 
 def test_status_and_report_say_the_same_of_simulations_batches_and_learner(lab: Path) -> None:

@@ -430,22 +430,16 @@ class OutcomeSettings(Section):
 
     @field_validator("outcomes", "margins", "causes")
     @classmethod
-    def _are_names(cls, names: list[str]) -> list[str]:
+    def _are_names(cls, names: list[str], info: ValidationInfo) -> list[str]:
+        reserved = {"numerical_failure", *(EXECUTION_CAUSES.values() if info.field_name == "causes" else ())}
         for name in names:
             if not name.isidentifier():
                 raise ValueError(f"must be identifiers, got {name!r}")
             if names.count(name) > 1:
                 raise ValueError(f"must differ from each other, got {name!r} twice")
-        if "numerical_failure" in names:
-            raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
+            if name in reserved:
+                raise ValueError(f"{name!r} is reserved for simulations without an outcome")
         return names
-
-    @field_validator("causes")
-    @classmethod
-    def _are_no_faults(cls, causes: list[str]) -> list[str]:
-        for name in {*EXECUTION_CAUSES.values()}.intersection(causes):
-            raise ValueError(f"{name!r} is reserved for simulations without an outcome")
-        return causes
 
     @field_validator("outcomes")
     @classmethod

@@ -257,7 +257,7 @@ class CampaignSettings(Section):
     def refused(self) -> dict[str, str]:
         """Why this campaign refuses commands with fresh simulations, by command."""
         if self.is_elsewhere:
-            return dict.fromkeys(("verify", "probability", "compare"), IF_CALLED)
+            return dict.fromkeys(("verify", "probability", "design", "compare"), IF_CALLED)
         return {} if self.is_repeatable else {"compare": IF_REPEATABLE}
 
     @property

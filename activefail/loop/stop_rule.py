@@ -30,7 +30,7 @@ def how_met(campaign: "Campaign", history: History, looks: "Looks", error_is_sma
         case ProbabilityStop(probability=outcome) if looks.is_known:
             return (
                 f"{after}the classifier is sure of the probability of {outcome} and a check far from all other designs "
-                "did not contradict it. `activefail probability` estimates it with an interval"
+                "did not contradict it"
             )
     return ""
 

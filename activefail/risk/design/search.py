@@ -281,8 +281,8 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
 
     It differs from the result by as much as values that the last look alone would give. None for a variable of choices.
     """
-    task, look, (first, *held_ones) = designed.task, designed.result, designed.task.free
-    model, held = _model_of(estimator, task), {name: designed.values[name] for name in held_ones}
+    task, look, first = designed.task, designed.result, designed.task.free[0]
+    model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
 
     def value(confidence: float) -> float:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
