@@ -1,6 +1,7 @@
 """Numbers in texts, as people and programs write them."""
 
 import re
+from collections.abc import Iterable, Sequence
 
 _WITHOUT_E = re.compile(r"\s*([+-]?(?:\d+\.\d*|\.\d+))([+-]\d{3})\s*")
 """A number as Fortran writes it if its exponent has three digits; in a text of people it may be a range, 0.5-100."""
@@ -34,3 +35,9 @@ def number_of_program(text: str) -> float:
 def counted(number: int, thing: str) -> str:
     """A number of things in words."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def outcomes_in_words(counts: Sequence[int], outcomes: Iterable[str]) -> list[str]:
+    """Numbers of simulations by outcome in words, those without one last; counts have one more than outcomes."""
+    *seen, lost = counts
+    return [*(f"{n} {name}" for n, name in zip(seen, outcomes, strict=True)), counted(lost, "numerical failure")]

@@ -19,11 +19,12 @@ from urllib.parse import quote
 from activefail.errors import ActivefailError
 from activefail.explorer.pages import Answer, Question, Site, page
 from activefail.findings.status import Status, read_status
+from activefail.numerals import outcomes_in_words
 from activefail.record.journal import is_being_written
 from activefail.record.layout import CHECKPOINT, JOURNAL, SETTINGS
 from activefail.shares import alike, interval_percent, percent
 from activefail.verification.scores import error_in_words
-from activefail.visible import or_worse, visible
+from activefail.visible import or_worse, visible, words
 
 _MOST_OPEN = 8
 """Campaigns whose pages are kept in memory."""
@@ -104,7 +105,7 @@ class Runs:
 
     def page(self, path: str) -> str | None:
         """As `Site.page`."""
-        return page("runs", title=visible(str(self.folder)), **self._shown()) if path == "/" else None
+        return page("runs", title=visible(self.folder.resolve().name), **self._shown()) if path == "/" else None
 
     def question(self, path: str) -> Question | None:
         """As `Site.question`: what the page shows, unless it shows that already."""
@@ -160,7 +161,7 @@ class Runs:
             self._reads = {folder: self._read(folder) for folder in run_folders(self.folder)}
             reads = dict(self._reads)
         sizes = [read.status.curve[-1].simulations for read in reads.values() if read.status and read.status.curve]
-        most = max(sizes, default=1)
+        most = max(sizes, default=0)
         rows = [_row(folder, read, most) for folder, read in reads.items()]
         counts = Counter(row["state"] for row in rows)
         table = page("runs_table", rows=rows, counts=counts, most=most, width=_SIZE[0], height=_SIZE[1])
@@ -188,14 +189,13 @@ def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
         return row | {"state": "unreadable", "can_open": False, "title": ""}
     summary, settings = status.summary, status.summary.settings
     has_curve = settings.validation.size or settings.probability_rule is not None
-    names = (*summary.outcomes, "numerical failures")
-    counts = zip(names, summary.counts.tolist(), strict=True)
+    counts = summary.counts.tolist()
     return row | {
         "state": status.state,
         "title": settings.description,
         "done": summary.done,
         "budget": settings.sampling.budget,
-        "counts": [(name, n) for name, n in counts if n or name != names[-1]],
+        "counts": outcomes_in_words(counts, map(words, summary.outcomes))[: None if counts[-1] else -1],
         "can_open": bool(summary.counts[:-1].any()),
         "answer": _answer(status),
         "curve": _curve(status, most),

@@ -42,8 +42,8 @@ def plot_probability(failure: FailureFindings, beyond: str, width: float = 7.0) 
     legend_outside(figure)
     counts.step(failure.simulations, failure.seen, where="post", color=BLACK)
     counts.set(xlabel="simulations", ylabel=f"{beyond}\nseen")
-    for axis in (counts.xaxis, counts.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True))
+    counts.xaxis.set_major_locator(MaxNLocator(integer=True))
+    counts.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     return figure
 
 

@@ -16,7 +16,7 @@ from activefail.campaign.sections import (
 )
 from activefail.campaign.settings import CampaignSettings
 from activefail.loop.history import History
-from activefail.numerals import counted
+from activefail.numerals import counted, outcomes_in_words
 from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, Schema
 from activefail.shares import percent
@@ -155,9 +155,7 @@ class Summary:
         ]
         for title, counts in self.origins.items():
             if title != "given" or counts.any():
-                *texts, lost = counts.tolist()
-                texts = [f"{n} {name}" for n, name in zip(texts, self.outcomes, strict=True)]
-                lines.append((title, ", ".join([*texts, counted(lost, "numerical failure")])))
+                lines.append((title, ", ".join(outcomes_in_words(counts.tolist(), self.outcomes))))
         corrected = counted(self.corrected, "correction") if self.corrected else ""
         more = [("corrected", corrected), ("in flight", self.flight_in_words)]
         return lines + [(title, text) for title, text in more if text]

@@ -33,7 +33,7 @@ from activefail.findings.results import Findings, at_the_boundary, information
 from activefail.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
-from activefail.numerals import counted
+from activefail.numerals import outcomes_in_words
 from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
@@ -83,9 +83,8 @@ def _counts(findings: Findings) -> dict[str, Any]:
     groups["all"] = np.ones(len(findings.X), dtype=bool)
     code = np.where(findings.answered, findings.outcome, len(outcomes))
     counts = {title: np.bincount(code[rows], minlength=len(outcomes) + 1) for title, rows in groups.items()}
-    *asked, lost = (counts["initial design"] + counts["active designs"]).tolist()
-    texts = [f"{n} {words(name)}" for n, name in zip(asked, outcomes, strict=True)]
-    texts += [counted(lost, "numerical failure")] * bool(lost)
+    asked = (counts["initial design"] + counts["active designs"]).tolist()
+    texts = outcomes_in_words(asked, map(words, outcomes))[: None if asked[-1] else -1]
     figure = plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes)
     return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": counts, "asked": ", ".join(texts)}
 

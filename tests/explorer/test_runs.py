@@ -91,7 +91,7 @@ def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, fol
     assert "was written by activefail 0.1" in shown["old"]["fault"]
     assert (shown["stopped"]["done"], shown["stopped"]["budget"]) == (16, 28)
     summary = read_status(folder / NAME).summary
-    assert dict(shown[NAME]["counts"]) == dict(zip(summary.outcomes, summary.counts.tolist(), strict=False))
+    assert shown[NAME]["counts"] == [f"{n} {name}" for name, n in zip(summary.outcomes, summary.counts, strict=False)]
     assert shown[NAME]["answer"][0] == "error on 100 validation designs, 95 % interval"
     assert len(shown[NAME]["curve"].line.split()) == len(read_status(folder / NAME).curve) > 1
     text = runs.page("/")
