@@ -31,7 +31,7 @@ def plot_reliability(
         bins: number of bins of equal width.
         labels: of the axes, observed share and predicted probability.
     """
-    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    figure = Figure(figsize=(5.4, 6.0), layout="constrained")
     axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
     axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
     for (title, p), colour, marker in zip(probabilities.items(), LINE_COLOURS, LINE_MARKERS, strict=False):
@@ -72,7 +72,7 @@ def length_scales(classifier: Classifier) -> Array | None:
 def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: Sequence[str]) -> Figure:
     """Plot length scales, (boundaries, m), with a marker for each boundary, sorted by those of the last boundary."""
     order = np.argsort(scales[-1])
-    figure, axes = panel(7.6, 1.3 + 0.3 * len(quantities))
+    figure, axes = panel(5.4, 1.3 + 0.3 * len(quantities))
     end = max(2.0 * float(scales.max()), 2.0 * LONG)
     axes.axvspan(LONG, end, color=LIGHT_GREY, alpha=0.5, label="nearly linear, or none")
     for severity, row in enumerate(scales, start=1):

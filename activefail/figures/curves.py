@@ -27,7 +27,7 @@ _SAMPLINGS = {
 
 
 @styled()
-def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int, width: float = 7.0) -> Figure:
+def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int, width: float = 5.4) -> Figure:
     """`draw_learning_curves` on a figure of its own, of this width [in]."""
     figure, axes = panel(width, 1.5 + 0.45 * width)
     draw_learning_curves(axes, scores, boundary, test_size)

@@ -28,7 +28,7 @@ _LEAST = 4.0
 
 
 @styled()
-def plot_probability(failure: FailureFindings, beyond: str, width: float = 7.0) -> Figure:
+def plot_probability(failure: FailureFindings, beyond: str, width: float = 5.4) -> Figure:
     """`draw_probability`, and below it the simulations beyond the boundary so far.
 
     Args:

@@ -293,59 +293,52 @@ def plot_variable_plane(
     return figure
 
 
+def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> list[Figure]:
+    """Probabilities of all outcomes but the least severe, and the uncertainty: a figure per third value."""
+    return [_at_value(plane, value, c, findings) for value in (plane.values if plane.third >= 0 else plane.values[:1])]
+
+
 @styled()
-def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
-    """Probabilities of all outcomes except the least severe, and the uncertainty, at values of a third feature."""
+def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) -> Figure:
     campaign = findings.campaign
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
-    whole = c.planes is not PLANES
-    x_limits, y_limits = (axis_limits(F[:, column], 1.0 if whole else 0.9) for column in (plane.x, plane.y))
-    inside = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
+    share = 0.9 if c.planes is PLANES else 1.0
+    x_limits, y_limits = (axis_limits(F[:, column], share) for column in (plane.x, plane.y))
+    shown = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
     x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))
-    values = plane.values if plane.third >= 0 else plane.values[:1]
-    names = [plain(words(name)) for name in outcomes[1:]]
-    titles = [f"P({name})" for name in names] + [f"uncertainty of P({plain(findings.beyond)})"]
+    rows = np.tile(c.middle, (x.size, 1))
+    rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
+    title = ""
+    if plane.third >= 0:
+        rows[:, plane.third] = third
+        width, symbol = c.widths(plane, third), c.quantities[plane.third].symbol
+        shown = shown & (np.abs(F[:, plane.third] - third) <= width)
+        exact = "" if width else plain(str(campaign.space.parameters[plane.third].written(third)))
+        value = f"{third:.3g} ± {width:.2g}" if width else exact
+        title = f"{symbol}{chr(10) if letters(symbol) > 16 else ' '}= {value}"
+    others = [column for column in c.choices if column != plane.third]
+    alike = np.all(F[:, others] == c.middle[others], axis=1)
+    marks = [
+        Marks(F[some][:, [plane.x, plane.y]], outcome[some], opacity)
+        for some, opacity in ((shown & ~alike, _PALE), (shown & alike, 1.0))
+    ]
+    prediction = c.predict(rows)
+    layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
+    titles = [f"P({plain(words(name))})" for name in outcomes[1:]] + [f"uncertainty of P({plain(findings.beyond)})"]
+    figure = Figure(figsize=(3.9, 2.8 * len(layers) + 0.9), layout="constrained")
+    grid = figure.subplots(len(layers), 1, squeeze=False, sharex=True)[:, 0]
+    size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
+    for axes, layer, name in zip(grid, layers, titles, strict=True):
+        last = axes is grid[-1]
+        shades = filled_contours(axes, x, y, layer.reshape(x.shape), uncertainty=last)
+        draw_marks(axes, marks, outcomes, 28.0)
+        axes.set(xlim=x_limits, ylim=y_limits)
+        axes.set_ylabel(f"{name}\n{c.quantities[plane.y].axis}", fontsize=size)
+        colour_bar(figure, axes, shades, name, uncertainty=last, fraction=0.06)
+    grid[0].set_title(title)
+    grid[-1].set_xlabel(c.quantities[plane.x].axis, fontsize=size)
     handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
     handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
-    inches = 10.0 if len(values) > 1 else 5.4
-    third_symbol = c.quantities[plane.third].symbol if plane.third >= 0 else ""
-    between = "\n" if letters(third_symbol) > 16 else " "
-    figure = Figure(figsize=(inches, 2.8 * len(titles) + 0.8), layout="constrained")
-    grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
-    size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
-    others = [column for column in c.choices if column != plane.third]
-    alike, nowhere = np.all(F[:, others] == c.middle[others], axis=1), list[Patch]()
-    for column, third in enumerate(values):
-        rows = np.tile(c.middle, (x.size, 1))
-        rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
-        shown = inside
-        if plane.third >= 0:
-            rows[:, plane.third] = third
-            shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
-        prediction = c.predict(rows)
-        nowhere = nowhere or nowhere_handles(prediction.beyond)
-        marks = [
-            Marks(F[some][:, [plane.x, plane.y]], outcome[some], opacity)
-            for some, opacity in ((shown & ~alike, _PALE), (shown & alike, 1.0))
-        ]
-        layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
-        for row, layer in enumerate(layers):
-            axes = grid[row, column]
-            last = row == len(layers) - 1
-            shades = filled_contours(axes, x, y, layer.reshape(x.shape), uncertainty=last)
-            draw_marks(axes, marks, outcomes, 28.0)
-            axes.set(xlim=x_limits, ylim=y_limits)
-            if column == 0:
-                axes.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)
-            if last:
-                axes.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
-            if row == 0 and plane.third >= 0:
-                width = c.widths(plane, third)
-                exact = "" if width else str(campaign.space.parameters[plane.third].written(third))
-                value = f"{third:.3g} ± {width:.2g}" if width else plain(exact)
-                axes.set_title(f"{third_symbol}{between}= {value}")
-            if column == len(values) - 1:
-                colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
-    legend_outside(figure, "outside upper center", [*handles, *nowhere])
+    legend_outside(figure, "outside upper center", [*handles, *nowhere_handles(prediction.beyond)])
     return figure

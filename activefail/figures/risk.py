@@ -34,7 +34,7 @@ def plot_fragility_findings(findings: FragilityFindings) -> Figure:
     """
     deaggregation = findings.boundaries[-1].deaggregation
     is_shown = deaggregation is not None and deaggregation.failures is not None
-    figure = Figure(figsize=(10.4 if is_shown else 6.4, 4.8), layout="constrained")
+    figure = Figure(figsize=(10.4 if is_shown else 5.4, 4.8), layout="constrained")
     axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
     _draw_curves(axes[0], findings)
     legend_outside(figure)
@@ -198,7 +198,7 @@ def marks_of_stored(chart: RequiredChart, designs: Sequence[StoredDesign]) -> li
 @styled()
 def plot_ida(findings: IdaFindings) -> Figure:
     """The share of records that have failed against the intensity, the lognormal curve, and its median's interval."""
-    figure, axes = panel(6.4, 4.6)
+    figure, axes = panel(5.4, 4.6)
     levels, share = findings.empirical
     axes.step(
         [0.0, *levels, findings.highest],
@@ -243,7 +243,7 @@ def plot_indices(indices: Sequence[Index], confidence: float, quantities: Mappin
         confidence: of the intervals.
         quantities: of the variables, by name.
     """
-    figure, axes = panel(6.4, 1.3 + 0.4 * len(indices))
+    figure, axes = panel(5.4, 1.3 + 0.4 * len(indices))
     for title, colour, marker, lift, estimates in (
         ("first index: the variable alone", BLUE, "o", -0.12, [index.first for index in indices]),
         ("total index: with all interactions", VERMILION, "s", 0.12, [index.total for index in indices]),
@@ -276,7 +276,7 @@ def plot_moves(moves: Sequence[Move], probability: float, outcome: str, quantiti
         outcome: whose probability it is, in words.
         quantities: of the variables, by name.
     """
-    figure, axes = panel(6.4, 1.3 + 0.4 * len(moves))
+    figure, axes = panel(5.4, 1.3 + 0.4 * len(moves))
     axes.axvline(probability, color=GREY, linestyle=":", label="base values")
     for row, move in enumerate(moves):
         axes.plot([move.at_low, probability, move.at_high], [row] * 3, color=GREY, linewidth=0.8, zorder=1)

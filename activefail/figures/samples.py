@@ -30,7 +30,7 @@ def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -
         outcomes: names, least severe first.
     """
     shown = {title: numbers for title, numbers in counts.items() if numbers.sum()}
-    figure, axes = panel(7.6, 1.1 + 0.5 * len(shown))
+    figure, axes = panel(5.4, 1.1 + 0.5 * len(shown))
     shares = np.array([100.0 * numbers / numbers.sum() for numbers in shown.values()])
     left = np.zeros(len(shown))
     for index, name in enumerate(outcomes):

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from activefail.figures.style import lay_out, styled
 
-_WIDE = 8.0
+_WIDE = 5.8
 """Width [in] beyond which a figure has the class "wide"."""
 
 _NO_METADATA: dict[str, None] = {"Date": None, "Creator": None, "Format": None, "Type": None}

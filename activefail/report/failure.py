@@ -18,7 +18,7 @@ from activefail.reliability.integral import boundary_of
 from activefail.shares import alike, percent
 
 
-def failure_section(findings: Findings, failure: FailureFindings | None, width: float = 7.0) -> dict[str, Any] | None:
+def failure_section(findings: Findings, failure: FailureFindings | None, width: float = 5.4) -> dict[str, Any] | None:
     """The numbers of the section and its pictures, of a width [in]; None if nothing is said of a probability."""
     if failure is None:
         return None

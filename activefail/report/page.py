@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from activefail import __version__
@@ -140,8 +141,10 @@ def _planes(findings: Findings) -> dict[str, Any]:
     pictures = []
     for number, plane in enumerate(c.planes, start=1):
         names = f"{c.quantities[plane.x].text} and {c.quantities[plane.y].text}"
-        figure = plot_outcome_planes(plane, c, findings)
-        pictures.append((names, inline(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
+        alternative = f"Probabilities in the plane of {names}"
+        figures = enumerate(plot_outcome_planes(plane, c, findings), start=1)
+        drawn = Markup("").join(inline(figure, f"plane{number}-{k}", alternative) for k, figure in figures)
+        pictures.append((names, drawn))
     return {
         "pictures": pictures,
         "of_features": c.planes is PLANES,

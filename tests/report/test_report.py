@@ -338,10 +338,8 @@ def test_another_simulator_has_a_page_without_bearings(dimension, tmp_path):
         parsed = self_contained(made(campaign, tmp_path / "run", store), without=("gallery",))
     assert "Bearings at the boundary" not in parsed.text
     labels = [a["aria-label"] for tag, a in parsed.elements if tag == "svg"]
-    assert (
-        len([label for label in labels if label.startswith("Probabilities in the plane")])
-        == {1: 0, 2: 1, 3: 3}[dimension]
-    )
+    drawn = [label for label in labels if label.startswith("Probabilities in the plane")]
+    assert len(drawn) == {1: 0, 2: 1, 3: 9}[dimension] and len(set(drawn)) == {1: 0, 2: 1, 3: 3}[dimension]
 
 
 def other(dimension: int) -> Campaign:
@@ -461,7 +459,8 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
         outcome=rng.integers(0, len(outcomes), 40).astype(np.int8),
         beyond=outcomes[-1],
     )
-    assert_text_is_inside(outcome_planes.plot_outcome_planes(plane, c, findings))
+    for figure in outcome_planes.plot_outcome_planes(plane, c, findings):
+        assert_text_is_inside(figure)
 
 
 @pytest.mark.parametrize("outcome", [DAMAGE[0], DAMAGE[-1]])
