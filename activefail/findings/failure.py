@@ -67,8 +67,8 @@ class FailureFindings:
 
     @property
     def is_rare(self) -> bool:
-        """Whether failure is so rare that accuracy says little."""
-        return self.best < RARE
+        """Whether failure, or its absence, is so rare that accuracy says little."""
+        return min(self.best, 1.0 - self.best) < RARE
 
 
 def failure_findings(

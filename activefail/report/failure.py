@@ -15,7 +15,7 @@ from activefail.findings.failure import FailureFindings
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import boundary_of
-from activefail.shares import alike, percent
+from activefail.shares import alike, percent, significant
 
 
 def failure_section(findings: Findings, failure: FailureFindings | None, width: float = 5.4) -> dict[str, Any] | None:
@@ -55,7 +55,7 @@ def _texts(estimate: ProbabilityEstimate, bound: float | None) -> dict[str, Any]
     probability, low, high = alike(estimate.probability, estimate.low, estimate.high)
     if bound is not None:
         low, high = "0", rounded_up(bound)
-    beta = [f"{-ndtri(p):.2f}" for p in (estimate.probability, estimate.high, estimate.low)]
+    beta = [f"{-ndtri(p):.2f}".replace("-", "−") for p in (estimate.probability, estimate.high, estimate.low)]
     return {
         "of": estimate,
         "modes": modes_in_words(estimate.modes),
@@ -84,7 +84,8 @@ def _point(findings: Findings, failure: FailureFindings, width: float) -> dict[s
     # The variables of a correlated space have no shares.
     shares = point.importance.tolist() if space.factor is None else [None] * space.dimension
     return {
-        "of": point,
+        "beta": significant(point.beta),
+        "probability": alike(point.probability)[0],
         "rows": list(zip(names, point.X.tolist(), shares, strict=True)),
         "plane": plane,
         "variables": space.dimension,
