@@ -18,8 +18,8 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with an example, as `activefail COMMAND --help` shows it ([what commands are for](../guide.md#campaigns)). In place of
-a CSV file, `-` is standard input or output.
+Every command with an example, as `activefail COMMAND --help` shows it ([what commands are for](../guide.md#campaigns)).
+In place of a CSV file, `-` is standard input or output.
 
 ## In several commands
 
