@@ -105,8 +105,8 @@ FIXED = Option(
 )
 
 WRONG = Option(
-    "Where the variables without a value have finitely many values: simulate the doubtful ones until so large a share "
-    "is expected to be predicted wrongly, such as 0.01 (docs/stripes.md).",
+    "Over finitely many values, such as records: simulate the doubtful ones until so large a share is expected to be "
+    "predicted wrongly, such as 0.01 (docs/stripes.md).",
     float,
     low=0.0,
     high=0.5,

@@ -18,8 +18,8 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with an example, as `activefail COMMAND --help` shows it. The guide says [what commands are
-for](../guide.md#campaigns). `python docs/commands.py` writes this page.
+Every command with an example, as `activefail COMMAND --help` shows it ([what commands are for](../guide.md#campaigns)).
+In place of a CSV file, `-` is standard input or output.
 
 ## In several commands
 
@@ -33,7 +33,7 @@ MODEL = [f"--{name.replace('_', '-')}" for name in BearingSettings.model_fields]
 
 def linked(text: str) -> str:
     """A help text with links to the pages that it names."""
-    text = text.replace("<", r"\<").replace("*", r"\*")
+    text = re.sub("; - is standard (in|out)put", "", text).replace("<", r"\<").replace("*", r"\*")
     # A long list of names has room for a line's end.
     text = re.sub(r"\b\w+(?:,\w+){3,}", lambda names: names[0].replace(",", ", "), text)
     return re.sub(r"docs/([\w./]+\.md)", lambda page: f"[{page[1]}](../{page[1]})", text)

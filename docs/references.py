@@ -11,8 +11,7 @@ HERE = Path(__file__).parent
 
 HEAD = """# References
 
-Every work that activefail cites, by its key. [references.bib](references.bib) also has all authors, and the journal and
-pages of a work that is found by its DOI. `python docs/references.py` writes this page from it.
+Every work that activefail cites, by its key. [references.bib](references.bib) also has all authors, journals and pages.
 
 """
 

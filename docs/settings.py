@@ -19,8 +19,7 @@ HEAD = """# Keys of the files
 
 Every key of [campaign](../guide.md#campaigns) and [hazard](../hazard.md) files, with its type and rule and, after a
 semicolon, its default. A [question file](../probability.md#other-distributions) has the keys of
-[`[question]`](#question). Unknown keys, infinite numbers and NaN are refused. `python docs/settings.py` writes this
-page.
+[`[question]`](#question). Unknown keys, infinite numbers and NaN are refused.
 """
 
 FILES = {

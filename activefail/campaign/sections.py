@@ -309,8 +309,7 @@ class BearingSettings(Section):
 
     Attributes:
         slider_diameter: D_sl [m], which Table 1 does not contain.
-        restitution_coefficient: coefficient of restitution of the contacts, dish and rim, for two bodies of the mass in
-            the damper; of the plate that hits a rim see `restitution`.
+        restitution_coefficient: coefficient of restitution of the contacts, for the mass in the damper.
         restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate
             ([contact](../bearing.md#contact)).
         slider_density: density of the slider [kg/m³].
