@@ -237,7 +237,7 @@ class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
     table: ClassVar = "Table of the curves to write; - is standard output."
     pages: ClassVar = (
         "Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and "
-        "OpenQuake; with --wrong fragility.json alone."
+        "OpenQuake; with --wrong the page, its picture and fragility.json."
     )
 
     def answer(self, run: "Run") -> "FragilityFindings | FragilityByStripes":

@@ -1,9 +1,11 @@
 """Shares as text; a share near 0 or 1 is never rounded to it."""
 
 import math
+from collections.abc import Mapping
 
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
+from activefail.visible import visible
 
 
 def percent(share: float, digits: int = 1) -> str:
@@ -55,9 +57,24 @@ def significant(value: float, digits: int = 3) -> str:
 
 def power(value: float, digits: int) -> str:
     """A number to significant digits, as a multiple of a power of ten."""
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    raised = str(int(exponent)).translate(RAISED)
-    return f"{mantissa.replace('-', '−')}·10{raised}"
+    return _raised(f"{value:.{digits - 1}e}")
+
+
+def short(value: float) -> str:
+    """A number to at most four digits, without zeros at its end: "0.694", "2·10⁹"."""
+    return _raised(f"{value:.4g}")
+
+
+def _raised(text: str) -> str:
+    mantissa, _, exponent = text.replace("-", "−", 1 if text.startswith("-") else 0).partition("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(RAISED)}" if exponent else mantissa
+
+
+def values_in_words(space: DesignSpace, values: Mapping[str, float], with_units: bool = True) -> str:
+    """Values of variables, like "T_b = 4 s, k = 2·10⁹ N/m^1.5"."""
+    units = {one.name: f" {one.unit}" for one in space.parameters if one.unit and with_units}
+    texts = ((name, short(one) if isinstance(one, float) else one) for name, one in space.written(values).items())
+    return visible(", ".join(f"{name} = {text}{units.get(name, '')}" for name, text in texts))
 
 
 def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[float, float]:

@@ -38,11 +38,12 @@ function begin() {
 
   function showAnswer(answer) {
     dim(false);
+    find("value").textContent = answer.value;
     find("required").replaceChildren(withSubscripts(answer.text));
     Object.assign(find("required").dataset, { required: answer.required, probability: answer.probability });
     const period = plain(Number(answer.median_period.toPrecision(3)));
     const outside = `${answer.outside_text} of the pulses and bearings lie outside the campaign's design space, where the classifier extrapolates`;
-    find("accuracy").replaceChildren(withSubscripts(`Without an interval. Median T_p ${period} s. ${outside}.`));
+    find("accuracy").replaceChildren(withSubscripts(`Median T_p ${period} s. ${outside}.`));
     showDrawing(find("curve"), answer.svg);
     listed("notes", answer.notes);
   }

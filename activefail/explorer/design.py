@@ -234,6 +234,7 @@ class DesignAnswers:
         return {
             "required": value if is_met else None,
             "probability": probability,
+            "value": self._with_unit(significant(value)) if is_met else "none",
             "text": self._sentence(is_met, at, probability, target),
             "grid": curve.grid.tolist(),
             "curve": curve.P.tolist(),

@@ -71,6 +71,11 @@ const predict = latest(async () => {
     return row;
   });
   find("boundaries").replaceChildren(...intervals);
+  const target = answer.boundaries.find((b) => b.text === about.beyond);
+  if (target) {
+    find("verdict").textContent = share(target.probability);
+    find("verdict-interval").textContent = `(${share(target.low)} to ${share(target.high)}: the classifier's 95 % interval)`;
+  }
   find("absent").textContent = answer.absent;
 }, "result");
 

@@ -1,6 +1,7 @@
 """Learning curves of active and static sampling, and probabilities against one variable."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -67,7 +68,9 @@ def draw_learning_curves(axes: Axes | None, scores: Sequence[Score], boundary: s
     shared = "one set for both" if all(sizes.values()) else "one set"
     several = max(score.hypercube for score in scores) + 1
     static = f"\nstatic: lowest to highest of {several} designs of each size" if several > 1 else ""
-    axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared}){static}", fontsize=9)
+    title = f"Band: 95 % interval over test sets of {test_size} designs ({shared}){static}"
+    width = cast(Figure, axes.get_figure(root=True)).get_size_inches()[0]
+    axes.set_title(title, fontsize=fitting_size(title.split("\n"), width - 0.8))
     return axes
 
 

@@ -11,12 +11,14 @@ from scipy.special import ndtr
 
 from activefail.figures.axes import legend_outside, outcome_colour, outcome_marker, panel, plain_log
 from activefail.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, ORANGE, VERMILION, styled
-from activefail.findings.quantities import Quantity, plain, quantity, words
+from activefail.findings.quantities import Quantity, custom_quantity, plain, quantity, words
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.stored import StoredDesign
+from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
+from activefail.risk.ida.collapse import Fragility
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import Move
 from activefail.risk.sensitivity.sobol import Index
@@ -26,21 +28,24 @@ _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 """Labels in a decade of an axis."""
 
 
+_SIZE = 4.8, 4.4
+"""Width and height of a curve [in]."""
+
+
 @styled()
-def plot_fragility_findings(findings: FragilityFindings) -> Figure:
-    """The curves of all boundaries; beside them, under a hazard, the pulses that cause the most severe outcome.
+def plot_fragility_findings(findings: FragilityFindings) -> dict[str, Figure]:
+    """The curves of all boundaries and, under a hazard, the pulses that cause the most severe outcome, by file name.
 
     The curve is the result. A lognormal curve that describes it is dotted.
     """
-    deaggregation = findings.boundaries[-1].deaggregation
-    is_shown = deaggregation is not None and deaggregation.failures is not None
-    figure = Figure(figsize=(10.4 if is_shown else 5.4, 4.8), layout="constrained")
-    axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
-    _draw_curves(axes[0], findings)
+    figure, axes = panel(*_SIZE)
+    _draw_curves(axes, findings)
     legend_outside(figure)
-    if deaggregation is not None and is_shown:
-        _draw_pulses(figure, axes[1], deaggregation, findings.boundaries[-1].outcome)
-    return figure
+    figures, deaggregation = {"fragility": figure}, findings.boundaries[-1].deaggregation
+    if deaggregation is not None and deaggregation.failures is not None:
+        figures["pulses"], axes = panel(*_SIZE)
+        _draw_pulses(figures["pulses"], axes, deaggregation, findings.boundaries[-1].outcome)
+    return figures
 
 
 def _draw_curves(axes: Axes, findings: FragilityFindings) -> None:
@@ -131,23 +136,23 @@ class Mark(NamedTuple):
 
 
 @styled()
-def plot_required(chart: RequiredChart, shown: Mapping[str, Quantity], marks: Sequence[Mark] = ()) -> Figure:
-    """The required variable against another: a panel for each target, a line for each value of a third variable.
+def plot_required(chart: RequiredChart, shown: Mapping[str, Quantity], marks: Sequence[Mark] = ()) -> dict[str, Figure]:
+    """The required variable against another, a line for each value of a third variable; a figure for each target.
 
     Args:
         chart: what is required.
         shown: the variables, by name.
-        marks: designs, each in the panel of its target.
+        marks: designs, each in the figure of its target.
+
+    Returns:
+        The figures, whose axes have the same ends, by file name.
     """
-    figure = Figure(figsize=(2.2 + 2.9 * len(chart.targets), 3.9), layout="constrained")
-    panels = figure.subplots(1, len(chart.targets), sharex=True, sharey=True, squeeze=False)[0]
+    figures = {}
     required, along = shown[chart.name], shown[chart.lines].symbol
-    labels = [
-        f"{along} = {value:.3g}" + (f": no {required.symbol} meets a target" if np.isnan(line).all() else "")
-        for value, line in zip(chart.values, chart.required.swapaxes(0, 1), strict=True)
-    ]
-    for axes, target, lines in zip(panels, chart.targets, chart.required, strict=True):
-        for colour, marker, label, line in zip(LINE_COLOURS, LINE_MARKERS, labels, lines, strict=False):
+    for target, lines in zip(chart.targets.tolist(), chart.required, strict=True):
+        figures[f"required_{100.0 * target:g}"], axes = panel(3.9, 3.9)
+        for colour, marker, value, line in zip(LINE_COLOURS, LINE_MARKERS, chart.values, lines, strict=False):
+            label = f"{along} = {value:.3g}" + (": none" if np.isnan(line).all() else "")
             axes.plot(chart.x, line, color=colour, marker=marker, markersize=4, label=label)
         if np.isnan(lines).all():
             why = textwrap.fill(f"no {required.symbol} in its range meets this target", _WIDTH)
@@ -157,10 +162,14 @@ def plot_required(chart: RequiredChart, shown: Mapping[str, Quantity], marks: Se
                 label = mark.status if mark.line is None else f"{mark.status}: {along} = {mark.line:.3g}"
                 axes.plot([mark.x], [mark.y], label=label, **_look(mark.status))
         axes.set_title(f"P({plain(words(chart.outcome))}) ≤ {100.0 * target:g} %")
-        axes.set_xlabel(shown[chart.across].axis)
-    panels[0].set_ylabel(f"required {required.axis}")
-    legend_outside(figure)
-    return figure
+        axes.set(xlabel=shown[chart.across].axis, ylabel=f"required {required.axis}")
+    panels = [figure.axes[0] for figure in figures.values()]
+    ends = np.array([[*axes.get_xlim(), *axes.get_ylim()] for axes in panels])
+    left, right, low, high = np.where([True, False, True, False], ends.min(axis=0), ends.max(axis=0)).tolist()
+    for figure, axes in zip(figures.values(), panels, strict=True):
+        axes.set(xlim=(left, right), ylim=(low, high))
+        legend_outside(figure)
+    return figures
 
 
 def _look(status: str) -> dict[str, Any]:
@@ -196,9 +205,36 @@ def marks_of_stored(chart: RequiredChart, designs: Sequence[StoredDesign]) -> li
 
 
 @styled()
+def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
+    """The probability and bounds of each look for each target, which has a text, beside the target.
+
+    Args:
+        findings: of a search.
+        targets: their texts.
+    """
+    figure, axes = panel(*_SIZE)
+    looks, requirements = findings.designed.looks, findings.designed.task.requirements
+    for number, (colour, marker, text, one) in enumerate(
+        zip(LINE_COLOURS, LINE_MARKERS, map(plain, targets), requirements, strict=False)
+    ):
+        estimates = [look.estimates[number] for look in looks]
+        middle, low, high = 100.0 * np.array([(of.probability, of.low, of.high) for of in estimates]).T
+        x = np.arange(len(looks)) + 0.1 * number
+        lengths = np.maximum([middle - low, high - middle], 0.0)
+        axes.errorbar(x, middle, lengths, color=colour, marker=marker, linestyle="", capsize=4)
+        axes.axhline(100.0 * one.target, color=colour, linestyle="--", label=text)
+    names = [f"look {number}\n{findings.in_words(look.candidate.values)}" for number, look in enumerate(looks, 1)]
+    axes.set_xticks(range(len(looks)), map(plain, names))
+    axes.set(xlim=(-0.6, len(looks) - 0.4), ylabel="probability from fresh simulations [%]")
+    axes.set_ylim(bottom=0.0)
+    legend_outside(figure)
+    return figure
+
+
+@styled()
 def plot_ida(findings: IdaFindings) -> Figure:
     """The share of records that have failed against the intensity, the lognormal curve, and its median's interval."""
-    figure, axes = panel(5.4, 4.6)
+    figure, axes = panel(*_SIZE)
     levels, share = findings.empirical
     axes.step(
         [0.0, *levels, findings.highest],
@@ -208,30 +244,45 @@ def plot_ida(findings: IdaFindings) -> Figure:
         linewidth=1.2,
         label="share of records",
     )
-    if (fragility := findings.fragility) is not None:
-        x = np.linspace(1e-3, 1.0, 400) * findings.highest
-        axes.plot(
-            x,
-            ndtr(np.log(x / fragility.fit.median) / fragility.fit.dispersion),
-            color=VERMILION,
-            linestyle="--",
-            label="lognormal fit",
-        )
-        if fragility.median:
-            axes.plot(fragility.median, [0.5, 0.5], color=BLUE, linewidth=3.0, label="median, 95 % interval")
     if findings.options is not None:
         axes.axvline(findings.options.mce, color=GREY, linestyle="-.", label="maximum considered earthquake")
-    unit = f" [{findings.intensity.unit}]" if findings.intensity.unit else ""
-    worse = "" if findings.is_of_worst else " or worse"
-    axes.set(
-        xlabel=f"{findings.intensity.name}{unit}",
-        ylabel=f"probability of {findings.outcome}{worse} [–]",
-        xlim=(0.0, findings.highest),
-        ylim=(-0.02, 1.02),
-    )
+    variable = custom_quantity(findings.intensity.name, findings.intensity.unit)
+    _draw_fit(axes, findings.fragility, (0.0, findings.highest), variable, findings.event)
     axes.set_title(f"{len(findings.capacities.capacity)} records from {findings.records.events} events", fontsize=9)
     legend_outside(figure)
     return figure
+
+
+@styled()
+def plot_stripes(findings: FragilityByStripes) -> Figure:
+    """The share of values that have failed at each level, the stripes with their intervals, and the lognormal curve."""
+    figure, axes = panel(*_SIZE)
+    ladder, weight = findings.ladder, findings.stripes[0].values.weight
+    axes.step(ladder.levels, findings.beyond @ weight, where="post", color=BLACK, linewidth=1.2, label="by classifier")
+    for name, colour, width, intervals in (
+        ("others", GREY, 1.0, [one.others or (np.nan, np.nan) for one in findings.found]),
+        ("these", BLACK, 2.5, [one.these for one in findings.found]),
+    ):
+        low, high = np.array(intervals).T
+        if np.isfinite(low).any():
+            label = f"interval, {name}, {100.0 * findings.found[0].confidence:g} %"
+            axes.vlines(findings.levels, low, high, color=colour, linewidth=width, label=label)
+    axes.plot(findings.levels, [one.probability for one in findings.stripes], "o", color=BLACK, label="stripes")
+    ends = float(ladder.levels[0]), float(ladder.levels[-1])
+    _draw_fit(axes, findings.fit, ends, custom_quantity(ladder.name, ladder.unit), findings.event)
+    legend_outside(figure)
+    return figure
+
+
+def _draw_fit(axes: Axes, fit: Fragility | None, ends: tuple[float, float], variable: Quantity, event: str) -> None:
+    """A lognormal curve, if there is one, with the interval of its median; and the axes."""
+    if fit is not None:
+        x = np.linspace(max(ends[0], 1e-3 * ends[1]), ends[1], 400)
+        curve = ndtr(np.log(x / fit.fit.median) / fit.fit.dispersion)
+        axes.plot(x, curve, color=VERMILION, linestyle="--", label="lognormal fit")
+        if fit.median:
+            axes.plot(fit.median, [0.5, 0.5], color=BLUE, linewidth=3.0, label="median, 95 % interval")
+    axes.set(xlabel=variable.axis, ylabel=f"probability of {plain(event)} [–]", xlim=ends, ylim=(-0.02, 1.02))
 
 
 @styled()

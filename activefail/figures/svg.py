@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Iterable
 
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -96,3 +97,8 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
         "http://www.w3.org/2000/svg",
     )
     return opening + Markup(text[text.index(">") + 1 :])
+
+
+def inlined(figures: Iterable[Figure], name: str, alternative: str) -> Markup:
+    """Figures as one picture, whose parts stand side by side where there is room; see `inline`."""
+    return Markup("").join(inline(one, f"{name}-{number}", alternative) for number, one in enumerate(figures, start=1))

@@ -8,9 +8,18 @@ from typing import TYPE_CHECKING, Any
 from activefail import __version__
 from activefail.campaign.assembly import Campaign
 from activefail.csv_table import writing
-from activefail.figures.risk import marks_of, plot_fragility_findings, plot_ida, plot_indices, plot_moves, plot_required
+from activefail.figures.risk import (
+    marks_of,
+    plot_fragility_findings,
+    plot_ida,
+    plot_indices,
+    plot_looks,
+    plot_moves,
+    plot_required,
+    plot_stripes,
+)
 from activefail.figures.style import save_png_and_svg
-from activefail.figures.svg import inline
+from activefail.figures.svg import inline, inlined
 from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import by_name, custom_quantity, plain, quantity
 from activefail.json_text import json_text
@@ -20,16 +29,22 @@ from activefail.risk.design.findings import DesignFindings
 from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.exports import files_of
 from activefail.risk.fragility.findings import (
+    CAPACITIES,
+    BoundaryFragility,
     FragilityFindings,
-    fixed_in_words,
+    beside_capacities,
+    ends_in_words,
     heading,
-    of_boundary,
+    unit_of,
     why_no_risk,
 )
+from activefail.risk.ida.collapse import CONFIDENCE
+from activefail.risk.ida.collapse import Fragility as LognormalFit
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import SensitivityFindings, write_csv
+from activefail.shares import bounds_percent, interval_percent, percent, significant
 from activefail.simulators.bearing import DfpSimulator
-from activefail.visible import or_worse, words
+from activefail.visible import or_worse
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,62 +77,121 @@ def write_folder(
 def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
     if isinstance(findings, FragilityByStripes):
-        return write_folder(folder, {"fragility.json": json_text(findings.as_json()) + "\n"}, {})
-    figure = plot_fragility_findings(findings)
-    shown = curves_shown(findings, figure)
-    template = page_environment().get_template("fragility.html.j2")
-    page = template.render(version=__version__, title=shown["heading"], curves=shown)
-    return write_folder(folder, {"fragility.html": page} | files_of(findings), {"fragility": figure})
+        figures = {"fragility": plot_stripes(findings)}
+        page = render_stripes(findings, figures)
+        files = {"fragility.json": json_text(findings.as_json()) + "\n"}
+        return write_folder(folder, {"fragility.html": page, **files}, figures)
+    figures = plot_fragility_findings(findings)
+    shown = curves_shown(findings, figures)
+    page = _page("fragility.html.j2", title=shown["heading"], curves=shown)
+    return write_folder(folder, {"fragility.html": page} | files_of(findings), figures)
 
 
-def curves_shown(findings: FragilityFindings, figure: "Figure") -> dict[str, Any]:
-    """The texts of the curves and the picture, for the template `curves.html.j2`."""
-    title = heading(findings)
-    title = title[0].upper() + title[1:]
-    parts = findings.boundaries[-1].deaggregation
+def _page(template: str, **values: Any) -> str:
+    return page_environment().get_template(template).render(version=__version__, **values)
+
+
+Card = tuple[str, str, str]
+"""A number of the box at the head of a page: what it is, the number, and its interval or that it has none."""
+
+
+def _of_fit(fit: LognormalFit | None, event: str, unit: str, over: str) -> list[Card]:
+    """The median and the dispersion of a fitted curve, with intervals over events or groups."""
+    if fit is None:
+        return []
+    cards = []
+    for what, value, ends, of in (
+        (f"median capacity for {event}", fit.fit.median, fit.median, unit),
+        ("dispersion", fit.fit.dispersion, fit.dispersion, ""),
+    ):
+        interval = "(no interval)"
+        if ends:
+            interval = f"({ends[0]:.3g} to {ends[1]:.3g}{of} with {100.0 * CONFIDENCE:g} % confidence, over {over})"
+        cards.append((what, f"{value:.3g}{of}", interval))
+    return cards
+
+
+def render_stripes(findings: FragilityByStripes, figures: "Mapping[str, Figure]") -> str:
+    """The page of a curve by stripes; without a lognormal curve, the stripe nearest to one half is in its box."""
+    unit = f" {findings.ladder.unit}" if findings.ladder.unit else ""
+    cards, title = _of_fit(findings.fit, findings.event, unit, "groups"), _sentence(findings.heading)
+    if not cards:
+        near = min(range(len(findings.stripes)), key=lambda place: abs(findings.stripes[place].probability - 0.5))
+        one = findings.found[near]
+        what = f"probability of {findings.event} at {findings.ladder.name} = {findings.levels[near]:.4g}{unit}"
+        interval = f"({interval_percent(*one.these, 1)} with {100.0 * one.confidence:g} % confidence, of these values)"
+        cards = [(what, percent(one.stripe.probability), interval)]
+    notes = findings.found[0].of_question
+    drawn = inlined(figures.values(), "curves", title)
+    return _page("stripes.html.j2", title=title, findings=findings, cards=cards, drawn=drawn, notes=notes)
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -> dict[str, Any]:
+    """The texts of the curves and the pictures, for the template `curves.html.j2`."""
+    title, boundaries = _sentence(heading(findings)), findings.boundaries[::-1]
+    verified = [one for one in boundaries if one.verified]
+    names, capacities, unknown = [or_worse(one.outcome, findings.outcomes) for one in boundaries], [], list[str]()
+    for name, one in zip(names, boundaries, strict=True):
+        rows = []
+        for p in CAPACITIES:
+            of, interval = one.capacity(p)
+            texts = ["–" if level is None else significant(level) for level in (of.level, interval.verified)]
+            rows.append((f"{100.0 * p:g} %", *texts, ends_in_words(interval) or "–"))
+            if reason := of.reason or (interval.interval_reason if one.verified else ""):
+                unknown.append(f"{_sentence(name)}, {rows[-1][0]}: {reason}.")
+        capacities.append((name, rows))
     return {
         "heading": title,
         "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
-        "given": fixed_in_words(findings),
-        "picture": inline(figure, "curves", title),
-        "columns": [or_worse(one.outcome, findings.outcomes) for one in reversed(findings.boundaries)],
-        "rows": _rows([of_boundary(findings, one) for one in reversed(findings.boundaries)]),
-        "verified": [
-            (or_worse(one.outcome, findings.outcomes), level) for one in findings.boundaries for level in one.verified
-        ],
-        "unit": findings.ladder.unit,
+        "cards": _of_curve(findings, (verified or boundaries)[0]),
+        "given": findings.given,
+        "pictures": inlined(figures.values(), "curves", title),
+        "capacities": capacities,
+        "unknown": unknown,
+        "verified": [(or_worse(one.outcome, findings.outcomes), one.verified) for one in verified],
+        "beside": [(name, beside_capacities(findings, one)) for name, one in zip(names, boundaries, strict=True)],
+        "in_unit": f" [{findings.ladder.unit}]" if findings.ladder.unit else "",
         "has_alone": any(one.alone is not None for one in findings.boundaries),
         "has_lognormal": any(one.is_lognormal for one in findings.boundaries),
-        "has_pulses": parts is not None and parts.failures is not None,
+        "has_pulses": len(figures) > 1,
         "has_verification": findings.has_verification,
         "no_risk": why_no_risk(findings),
         "notes": findings.assumptions,
     }
 
 
-def _rows(columns: list[list[tuple[str, str]]]) -> list[tuple[str, list[list[str]]]]:
-    """Titles, each with its texts in each column, without verified levels; an empty title continues the one before."""
-    rows: dict[str, list[list[str]]] = {}
-    for number, titled in enumerate(columns):
-        last = ""
-        for title, text in titled:
-            last = title or last
-            rows.setdefault(last, [[] for _ in columns])[number].append(text)
-    rows.pop("verified", None)
-    return [(f"capacity at {title}" if title.endswith("%") else title, texts) for title, texts in rows.items()]
+def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]:
+    """The median capacity of a boundary, and its risk or its probability under the hazard, if there is one."""
+    event, unit, alone = or_worse(one.outcome, findings.outcomes), unit_of(findings), "by the classifier, no interval"
+    of, interval = one.capacity(0.5)
+    level = of.level if interval.verified is None else interval.verified
+    why = of.reason or alone
+    if ends := ends_in_words(interval):
+        other = ", the other end is unknown" if None in (interval.low, interval.high) else ""
+        why = f"({ends}{unit} with {100.0 * findings.confidence:g} % confidence{other})"
+    cards = [(f"median capacity for {event}", "none" if level is None else f"{significant(level)}{unit}", why)]
+    if one.risk is not None:
+        cards.append((f"risk of {event} in {one.risk.years:g} years", percent(one.risk.probability, 2), alone))
+    elif one.deaggregation is not None:
+        cards.append((f"probability of {event} under the hazard", percent(one.deaggregation.probability), alone))
+    return cards
 
 
 def write_design(findings: DesignFindings | DesignByStripes, campaign: Campaign, folder: Path) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
-    figures = {}
+    figures: Mapping[str, Figure] = {}
     texts = {
         "design.json": json_text(findings.as_json()) + "\n",
         "design.toml": _values_text(findings, campaign),
     }
     if isinstance(findings, DesignFindings):
         if findings.chart is not None:
-            figures["required"] = plot_required(findings.chart, by_name(campaign), marks_of(findings))
-        texts = {"design.html": render_design(findings, figures.get("required")), **texts}
+            figures = plot_required(findings.chart, by_name(campaign), marks_of(findings))
+        texts = {"design.html": render_design(findings, figures), **texts}
     return write_folder(folder, texts, figures)
 
 
@@ -131,29 +205,40 @@ def _values_text(findings: DesignFindings | DesignByStripes, campaign: Campaign)
     return "\n".join(lines) + "\n"
 
 
-def render_design(findings: DesignFindings, figure: "Figure | None" = None) -> str:
-    """The page, with the figure of the chart if there is one."""
-    designed, chart, outcomes = findings.designed, findings.chart, findings.campaign.simulator.outcomes
-    drawn = None
-    if figure is not None and chart is not None:
-        drawn = inline(figure, "required", f"Required {chart.name} against {chart.across}")
-    return (
-        page_environment()
-        .get_template("design.html.j2")
-        .render(
-            version=__version__,
-            title=f"Design for {designed.question.title}",
-            findings=findings,
-            designed=designed,
-            task=designed.task,
-            shown=by_name(findings.campaign),
-            targets=[
-                f"P({or_worse(one.outcome, outcomes)}) ≤ {100.0 * one.target:.4g} %"
-                for one in designed.task.requirements
-            ],
-            chart=drawn,
-            lines=[line for line in findings.rows if line[0] not in ("widen", "design", "result", "note")],
+def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | None" = None) -> str:
+    """The page, with the figures of the chart if there is one, else with one of the looks."""
+    designed, task, outcomes = findings.designed, findings.designed.task, findings.campaign.simulator.outcomes
+    title, what = f"Design for {designed.question.title}", designed.status
+    events = [f"P({or_worse(one.outcome, outcomes)})" for one in task.requirements]
+    targets = [f"{event} ≤ {100.0 * one.target:.4g} %" for event, one in zip(events, task.requirements, strict=True)]
+    drawn = inlined((figures or {"looks": plot_looks(findings, targets)}).values(), "design", title)
+    sure = f"{100.0 * designed.result.of_bound:.3g} % confidence"
+    cards = [
+        (
+            f"design, {what}",
+            findings.in_words(designed.values, with_units=True),
+            f"{100.0 * task.confidence:g} % confidence for the result",
         )
+    ]
+    for event, one, of in zip(events, task.requirements, designed.result.estimates, strict=True):
+        name, values = f"{event} from fresh simulations", [of.probability, of.low, of.high, one.target]
+        if (rate := task.rate) is not None:
+            name, values = f"risk of {event[2:-1]} in {rate.years:g} years", [rate.risk(P) for P in values]
+        value, low, high, target = values
+        text = f"({bounds_percent(low, high)}, each bound with {sure}; target {100.0 * target:.4g} %)"
+        cards.append((name, percent(value, 2), text))
+    return _page(
+        "design.html.j2",
+        title=title,
+        findings=findings,
+        designed=designed,
+        task=task,
+        shown=by_name(findings.campaign),
+        targets=targets,
+        cards=cards,
+        chart=findings.chart if figures else None,
+        drawn=drawn,
+        lines=[line for line in findings.rows if line[0] not in ("design", "result", "verified", "estimate", "note")],
     )
 
 
@@ -189,18 +274,15 @@ def write_ida(findings: IdaFindings, folder: Path) -> list[Path]:
         with writing(path, columns) as write:
             write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
 
-    title = f"Capacities of {len(numbers['records'])} records for {words(findings.outcome)}"
-    page = (
-        page_environment()
-        .get_template("ida.html.j2")
-        .render(
-            version=__version__,
-            title=title,
-            findings=findings,
-            rows=findings.rows,
-            records=numbers["records"],
-            drawn=inline(figure, "ida", title),
-        )
-    )
+    title = f"Capacities of {len(numbers['records'])} records for {findings.event}"
+    unit, reached = f" {findings.intensity.unit}" if findings.intensity.unit else "", findings.failed
+    cards = _of_fit(findings.fragility, findings.event, unit, "events")
+    cards = cards or [(f"records that reach {findings.event}", str(reached), f"of {len(numbers['records'])}; no curve")]
+    if findings.fragility is not None and findings.options is not None:
+        ends = tuple(findings.options.shape_factor * end for end in findings.cmr_interval or ())
+        interval = f"({ends[0]:.3g} to {ends[1]:.3g} with {100.0 * CONFIDENCE:g} % confidence)" if ends else ""
+        cards[1:] = [("adjusted collapse margin ratio", f"{findings.acmr:.3g}", interval or "(no interval)")]
+    drawn = inline(figure, "ida", title)
+    page = _page("ida.html.j2", title=title, findings=findings, cards=cards, records=numbers["records"], drawn=drawn)
     texts = {"ida.html": page, "ida.json": json_text(numbers) + "\n"}
     return write_folder(folder, {**texts, "ida.csv": write_table}, {"ida": figure})

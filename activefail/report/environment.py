@@ -6,7 +6,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from activefail.shares import bounds_percent, interval_percent, percent, power, significant
+from activefail.shares import bounds_percent, interval_percent, percent, power, short, significant
 from activefail.visible import visible, words
 
 
@@ -47,6 +47,6 @@ def markdown_environment() -> Environment:
 
 def _environment(package: str, **more: Any) -> Environment:
     environment = Environment(loader=PackageLoader(package, "."), undefined=StrictUndefined, finalize=_shown, **more)
-    environment.filters |= {one.__name__: one for one in (subscripts, words, percent, significant, probability)}
+    environment.filters |= {one.__name__: one for one in (subscripts, words, percent, short, significant, probability)}
     environment.globals |= {one.__name__: one for one in (interval_percent, bounds_percent)}
     return environment

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.figures.risk import marks_of_stored, plot_fragility_findings, plot_required
-from activefail.figures.svg import inline
+from activefail.figures.svg import inlined
 from activefail.findings.quantities import Quantity, by_name
 from activefail.report.analyses import curves_shown
 from activefail.risk.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
@@ -121,8 +121,8 @@ def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
         return None
     chart, drawn = findings.chart, None
     if chart is not None:
-        figure = plot_required(chart, findings.shown, marks_of_stored(chart, findings.designs))
-        drawn = inline(figure, "required", f"Required {chart.name} against {chart.across}")
+        figures = plot_required(chart, findings.shown, marks_of_stored(chart, findings.designs))
+        drawn = inlined(figures.values(), "required", f"Required {chart.name} against {chart.across}")
     return {
         "found": findings,
         "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility)),

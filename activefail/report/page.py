@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from activefail import __version__
@@ -25,7 +24,7 @@ from activefail.figures.motion import plot_snapshots
 from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
 from activefail.figures.paper_planes import PLANES
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
-from activefail.figures.svg import inline
+from activefail.figures.svg import inline, inlined
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
 from activefail.findings.learned_from import source_in_words
@@ -142,8 +141,7 @@ def _planes(findings: Findings) -> dict[str, Any]:
     for number, plane in enumerate(c.planes, start=1):
         names = f"{c.quantities[plane.x].text} and {c.quantities[plane.y].text}"
         alternative = f"Probabilities in the plane of {names}"
-        figures = enumerate(plot_outcome_planes(plane, c, findings), start=1)
-        drawn = Markup("").join(inline(figure, f"plane{number}-{k}", alternative) for k, figure in figures)
+        drawn = inlined(plot_outcome_planes(plane, c, findings), f"plane{number}", alternative)
         pictures.append((names, drawn))
     return {
         "pictures": pictures,

@@ -18,43 +18,45 @@ def chart(targets: int = 3, name: str = "mu") -> RequiredChart:
 
 
 def test_a_chart_needs_no_design():
-    figure = plot_required(chart(), SHOWN)
-    assert [axes.get_title(loc="left") for axes in figure.axes] == [f"P(failure) ≤ {p} %" for p in ("10", "5", "2.5")]
-    assert len(figure.legends) == 1
+    figures = plot_required(chart(), SHOWN)
+    assert list(figures) == ["required_10", "required_5", "required_2.5"]
+    titles = [figure.axes[0].get_title(loc="left") for figure in figures.values()]
+    assert titles == [f"P(failure) ≤ {p} %" for p in ("10", "5", "2.5")]
+    assert len({(figure.axes[0].get_xlim(), figure.axes[0].get_ylim()) for figure in figures.values()}) == 1
 
 
 def test_an_empty_panel_says_why_in_a_line_that_it_holds():
     made = chart()
     made.required[2] = np.nan
-    figure = plot_required(made, SHOWN)
-    assert [[text.get_text().replace("\n", " ") for text in axes.texts] for axes in figure.axes] == [
+    figures = list(plot_required(made, SHOWN).values())
+    assert [[text.get_text().replace("\n", " ") for text in figure.axes[0].texts] for figure in figures] == [
         [],
         [],
         ["no $D_{tot}$ in its range meets this target"],
     ]
-    figure.draw_without_rendering()
-    panel = figure.axes[2]
+    figures[2].draw_without_rendering()
+    panel = figures[2].axes[0]
     why, frame = panel.texts[0].get_window_extent(), panel.get_window_extent()
     assert frame.x0 <= why.x0 <= why.x1 <= frame.x1
 
 
-def test_every_design_is_in_one_legend_once_and_in_the_panel_of_its_target():
+def test_every_design_is_in_the_figure_of_its_target_and_once_in_its_legend():
     marks = [
         Mark(3.5, 0.6, None, 0.05, "other look"),
         Mark(3.5, 0.65, 0.1, 0.05, "verified"),
         Mark(3.5, 0.75, 0.1, 0.025, "verified"),
     ]
-    figure = plot_required(chart(), SHOWN, marks)
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    figures = plot_required(chart(), SHOWN, marks).values()
+    labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in figures]
     # No value of the third line meets a target.
-    lines = ["$\\mu$ = 0.1", "$\\mu$ = 0.06", "$\\mu$ = 0.03: no $D_{tot}$ meets a target"]
-    assert labels == [*lines, "other look", "verified: $\\mu$ = 0.1"]
-    assert [axes.get_legend() for axes in figure.axes] == [None] * 3
-    assert [len(axes.lines) for axes in figure.axes] == [3, 5, 4]
+    lines = ["$\\mu$ = 0.1", "$\\mu$ = 0.06", "$\\mu$ = 0.03: none"]
+    verified = "verified: $\\mu$ = 0.1"
+    assert labels == [lines, [*lines, "other look", verified], [*lines, verified]]
+    assert [len(figure.axes[0].lines) for figure in figures] == [3, 5, 4]
 
 
 def test_a_line_with_a_single_value_has_a_marker():
-    for line in plot_required(chart(), SHOWN).axes[0].lines:
+    for line in plot_required(chart(), SHOWN)["required_10"].axes[0].lines:
         assert line.get_marker() not in ("None", ".", "")
         assert line.get_markersize() >= 3
 
@@ -62,7 +64,7 @@ def test_a_line_with_a_single_value_has_a_marker():
 def test_a_wide_legend_takes_more_rows_and_covers_no_panel():
     name = "a_variable_with_quite_a_long_name"
     shown = SHOWN | {name: custom_quantity(name)}
-    figure = plot_required(chart(1, name), shown, [Mark(3.5, 0.65, 0.1, 0.1, "not verified")])
+    (figure,) = plot_required(chart(1, name), shown, [Mark(3.5, 0.65, 0.1, 0.1, "not verified")]).values()
     figure.draw_without_rendering()
     legend, panel = figure.legends[0].get_window_extent(), figure.axes[0].get_tightbbox()
     assert panel is not None

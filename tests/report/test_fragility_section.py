@@ -124,8 +124,8 @@ def test_the_report_shows_fragility_and_what_the_risk_categories_require(plain: 
     ids = {attributes.get("id") for _, attributes in page.elements}
     assert {"fragility"} <= ids
     assert "Fragility against PGV [m/s], under a <site>." in page.text
-    assert "Given: T_b 4, mu 0.06, D_tot 0.7." in page.text
-    for words in ("capacity at 10", "lognormal", "it differs from the curve by up to", "in 50 years", "not added"):
+    assert "Given: T_b = 4 s, mu = 0.06, D_tot = 0.7 m." in page.text
+    for words in ("Capacity: the level", "lognormal", "it differs from the curve by up to", "in 50 years", "not added"):
         assert words in page.text, words
     assert "Every number is the classifier's, without an interval." in page.text
     assert "--verify 250 adds them." in page.text
@@ -150,9 +150,9 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
     findings = json.loads((verified / "curves" / "fragility.json").read_text())
     levels = findings["outcomes"]["failure"]["verified"]
     assert len(levels) == 3
-    shown_levels = [(row[0], row[2], row[4]) for row in page.tables["levels-verified"][1:]]
+    shown_levels = [(row[0], row[1], row[3]) for row in page.tables["levels-verified-1"][1:]]
     assert shown_levels == [
-        (f"{significant(one['level'])} m/s", percent(one["probability"]), str(one["simulations"])) for one in levels
+        (significant(one["level"]), percent(one["probability"]), str(one["simulations"])) for one in levels
     ]
     assert "Every number without one is the classifier's." in page.text
     design = json.loads((verified / "design" / "design.json").read_text())
@@ -243,14 +243,18 @@ def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_pa
 def test_fragility_and_design_write_pages_that_need_nothing_else(verified: Path) -> None:
     for name, files in (
         ("curves", {"fragility.html", "fragility.json", "fragility.csv", "fragility.png", "fragility.svg"}),
-        ("design", {"design.html", "design.json", "design.toml", "required.png", "required.svg"}),
+        ("design", {"design.html", "design.json", "design.toml", "required_5.png", "required_5.svg"}),
     ):
         assert files <= {path.name for path in (verified / name).iterdir()}
         text = (verified / name / sorted(files)[[".html" in one for one in sorted(files)].index(True)]).read_text()
         assert text.startswith("<!DOCTYPE html>")
         assert "https://" not in text
         assert text.rstrip().endswith("</html>")
-    assert '<th scope="col">failure</th>' in (verified / "curves" / "fragility.html").read_text()
+    curves = (verified / "curves" / "fragility.html").read_text()
+    failure = json.loads((verified / "curves" / "fragility.json").read_text())["outcomes"]["failure"]
+    median = failure["capacities"][2]
+    assert f"<b>{significant(median['verified'] or median['level'])} m/s</b>" in curves
+    assert '<th scope="rowgroup" rowspan="3">failure</th>' in curves
 
 
 @pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)

@@ -268,6 +268,8 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
         "fragility.json",
         "fragility.png",
         "fragility.svg",
+        "pulses.png",
+        "pulses.svg",
         "deaggregation.csv",
         "pelicun.csv",
         "openquake.xml",
@@ -400,7 +402,7 @@ def test_a_small_campaign_of_the_bearing_has_fragility_curves(tmp_path: Path, en
         "--verify", "20", "--out", tmp_path / "out",
     )  # fmt: skip
     assert result.code == 0, result.err
-    assert "given      T_b 4, mu 0.06" in result.out
+    assert "given      T_b = 4 s, mu = 0.06" in result.out
     limits = "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
     assert limits in result.out
     assert (tmp_path / "out" / "pelicun.csv").exists()

@@ -408,7 +408,8 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert written >= {"ida.html", "ida.json", "ida.csv", "ida.png", "ida.svg"}
     numbers = json.loads(activefail(*words, "--json").out)
     page = (tmp_path / "out" / "ida.html").read_text()
-    assert f"<dt>median</dt><dd>{numbers['median']:.3g} m/s (" in page
+    assert f"<b>{numbers['acmr']:.3g}</b> (" in page
+    assert f"<b>{numbers['median']:.3g} m/s</b> (" in page
     for one in numbers["records"]:
         assert f'<th scope="row">{one["record"]}</th><td>{one["event"]}</td>' in page
     assert json.loads((tmp_path / "out" / "ida.json").read_text()) == numbers

@@ -546,6 +546,9 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     assert low < exact.median < high
     assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2
     assert json.loads((tmp_path / "out" / "fragility.json").read_text())["levels"] == numbers["levels"]
+    page = (tmp_path / "out" / "fragility.html").read_text()
+    assert f"<b>{numbers['lognormal']['median']:.3g}</b> ({low:.3g} to {high:.3g} with 95 % confidence" in page
+    assert "<svg" in page
     table = activefail(*words, "--range", "0.8,3.8", "--csv", "-")
     assert table.out.splitlines()[0] == "x,probability,low,high,others_low,others_high,simulated,predicted"
     assert len(table.out.splitlines()) == 1 + len(numbers["levels"])

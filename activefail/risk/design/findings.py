@@ -16,7 +16,7 @@ from activefail.progress import Stage
 from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS, confidence_of_bound
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.search import WORTH, Designed, costs_of
-from activefail.shares import bounds_percent, percent
+from activefail.shares import bounds_percent, percent, values_in_words
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
@@ -148,7 +148,7 @@ class DesignFindings:
             )
         for name in task.free:
             if name in task.question.fixed:
-                given = self._shown({name: task.question.fixed[name]})
+                given = self.in_words({name: task.question.fixed[name]})
                 sentences.append(f"{name} is a free variable, so the given {given} was ignored.")
         of_pulse = () if self.hazard is None else ("T_p", "A_p")
         if kept := [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]:
@@ -156,10 +156,11 @@ class DesignFindings:
                 f"No value is given for {', '.join(kept)}. The distribution is that of the question, or else the "
                 "campaign's."
             )
-        sentences.append(
-            f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design space, "
-            "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
-        )
+        if self.outside.share and not self.outside.advice:
+            sentences.append(
+                f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design "
+                "space, where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
+            )
         errors = [1.0 - confidence_of_bound(task.confidence, look) for look in range(len(LOOKS))]
         sentences.append(
             "Free variables stay within the campaign's ranges. A look is a round of verification. A result is wrong "
@@ -253,21 +254,14 @@ class DesignFindings:
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
-                return f"A {kind} one, {self._shown(look.candidate.values)}, was looked at and not verified."
+                return f"A {kind} one, {self.in_words(look.candidate.values)}, was looked at and not verified."
         if len(designed.looks) < len(LOOKS):
             return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
         return f"No look is left for a {kind} one."
 
-    def _shown(self, values: Mapping[str, float], with_units: bool = False) -> str:
+    def in_words(self, values: Mapping[str, float], with_units: bool = False) -> str:
         """Values of variables, as text."""
-        units = {p.name: f" {p.unit}" for p in self.campaign.space.parameters if p.unit and with_units}
-        written = self.campaign.space.written(values).items()
-        return visible(
-            ", ".join(
-                f"{name} = {one if isinstance(one, str) else f'{one:.4g}'}{units.get(name, '')}"
-                for name, one in written
-            )
-        )
+        return values_in_words(self.campaign.space, values, with_units)
 
     def _first(self, value: float) -> Any:
         """A value of the first free variable, as people see it."""
@@ -359,7 +353,7 @@ class DesignFindings:
         fixed, space = designed.question.fixed, self.campaign.space
         certain = {name: fixed[name] for name in space.names if name in fixed}
         rows = [("widen", self.widening)] if self.widening else []
-        rows += [("design", self._shown(certain, with_units=True)), ("result", self.verdict)]
+        rows += [("design", self.in_words(certain, with_units=True)), ("result", self.verdict)]
         title = "verified" if designed.status == "verified" else "estimate"
         parts = zip(events, task.requirements, result.estimates, result.candidate.model, strict=True)
         for event, one, estimate, model in parts:
@@ -393,7 +387,7 @@ class DesignFindings:
         if self.costs:
             shown = ", ".join(
                 f"{100.0 * confidence:g} % "
-                f"{'out of range' if math.isnan(value) else self._shown({first: value}).removeprefix(f'{first} = ')}"
+                f"{'out of range' if math.isnan(value) else self.in_words({first: value}).removeprefix(f'{first} = ')}"
                 for confidence, value in self.costs.items()
             )
             rows.append(("confidence", f"{first} at another confidence, approximately: {shown}"))

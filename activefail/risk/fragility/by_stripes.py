@@ -13,7 +13,7 @@ from activefail.errors import InputError
 from activefail.findings.lines import aligned, titled
 from activefail.json_text import json_values
 from activefail.risk.fragility.curve import Ladder
-from activefail.risk.ida.collapse import CONFIDENCE, Fragility, fitted
+from activefail.risk.ida.collapse import CONFIDENCE, Fragility, fit_lognormal, fitted
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.stripes.findings import StripeFindings
@@ -61,23 +61,17 @@ class FragilityByStripes:
         return np.append(0.0, levels)[first], np.append(levels, np.inf)[first]
 
     @cached_property
-    def _group(self) -> NDArray[np.intp]:
-        group = self.stripes[0].values.group
-        return np.arange(len(self.stripes[0].values)) if group is None else group
-
-    @cached_property
     def fit(self) -> Fragility | None:
-        """The lognormal curve with intervals over groups; None where the levels do not bound it.
+        """The lognormal curve, with intervals over groups if there are any; None where the levels do not bound it.
 
         Values without the same probability have none, and a variable that is not positive.
         """
-        weight = self.stripes[0].values.weight
-        if not self.ladder.levels[0] > 0.0 or not np.allclose(weight, weight[0]):
+        values = self.stripes[0].values
+        if not self.ladder.levels[0] > 0.0 or not np.allclose(values.weight, values.weight[0]):
             return None
-        return fitted(*self.brackets, list(map(str, self._group.tolist())))
-
-    def _of_groups(self, ends: tuple[float, float] | tuple[()]) -> tuple[float, float] | tuple[()]:
-        return () if self.stripes[0].values.group is None else ends
+        if values.group is None:
+            return None if (one := fit_lognormal(*self.brackets)) is None else Fragility(one, (), ())
+        return fitted(*self.brackets, list(map(str, values.group.tolist())))
 
     @property
     def simulations(self) -> int:
@@ -85,32 +79,56 @@ class FragilityByStripes:
         return sum(one.new for one in self.stripes)
 
     @property
-    def lines(self) -> list[str]:
-        """The findings as lines of a terminal."""
-        one, name = self.found[0], self.ladder.name
-        unit = f" {self.ladder.unit}" if self.ladder.unit else ""
-        title = f"{name} [{self.ladder.unit}]" if unit else name
-        at = ", ".join(f"{key} = {value}" for key, value in one.fixed.items() if key != name)
-        event, sure = or_worse(one.stripe.outcome, one.outcomes), f"{100.0 * one.confidence:g} %"
+    def event(self) -> str:
+        """The outcome or a more severe one, in words."""
+        return or_worse(self.found[0].stripe.outcome, self.found[0].outcomes)
+
+    @property
+    def heading(self) -> str:
+        """What the curve is of."""
+        return f"probability of {self.event} against {self.ladder.name}"
+
+    @property
+    def given(self) -> str:
+        """Values of the other variables."""
+        fixed = self.found[0].fixed.items()
+        return ", ".join(f"{name} = {value}" for name, value in fixed if name != self.ladder.name)
+
+    @property
+    def table(self) -> list[list[str]]:
+        """A header, and a row for each level."""
+        title = f"{self.ladder.name} [{self.ladder.unit}]" if self.ladder.unit else self.ladder.name
+        sure = f"{100.0 * self.found[0].confidence:g} %"
         rows = [[title, "P", f"these, {sure}", f"others, {sure}", "simulated", "now"]]
         for level, found in zip(self.levels.tolist(), self.found, strict=True):
             others = "–" if found.others is None else interval_percent(*found.others, 1)
             known = f"{int(found.stripe.known.sum())} of {len(found.stripe.values)}"
             share, these = percent(found.stripe.probability), interval_percent(*found.these, 1)
             rows.append([f"{level:.4g}", share, these, others, known, str(found.stripe.new)])
-        texts = []
-        if self.fit is None:
-            texts.append(("lognormal", "none: the levels do not bound it, or the values are not equally probable"))
-        else:
-            texts.append(("median", f"{self.fit.fit.median:.4g}{unit}{_ends(self._of_groups(self.fit.median))}"))
-            texts.append(("dispersion", f"{self.fit.fit.dispersion:.3g}{_ends(self._of_groups(self.fit.dispersion))}"))
-            text = f"from capacities between {len(self.ladder.levels)} levels; predictions count as right in both"
-            texts.append(("", text))
+        return rows
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Titles and texts."""
+        texts = [("lognormal", "none: the levels do not bound it, or the values are not equally probable")]
+        if self.fit is not None:
+            unit = f" {self.ladder.unit}" if self.ladder.unit else ""
+            median, dispersion = f"{self.fit.fit.median:.4g}{unit}", f"{self.fit.fit.dispersion:.3g}"
+            basis = f"from capacities between {len(self.ladder.levels)} levels; predictions count as right in both"
+            texts = [
+                ("median", f"{median}{_ends(self.fit.median)}"),
+                ("dispersion", f"{dispersion}{_ends(self.fit.dispersion)}"),
+                ("fit", basis),
+            ]
         count = len(self.stripes) * len(self.stripes[0].values)
-        texts.append(("from", f"{self.simulations} simulations now, of {count} in all"))
-        texts += [("note", sentence) for sentence in one.of_question]
-        head = f"probability of {event} against {name}" + (f" at {at}" if at else "")
-        return [head, *aligned(rows), *titled(texts)]
+        return [*texts, ("from", f"{self.simulations} simulations now, of {count} in all")]
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        notes = [("note", sentence) for sentence in self.found[0].of_question]
+        head = self.heading + (f" at {self.given}" if self.given else "")
+        return [head, *aligned(self.table), *titled([*self.rows, *notes])]
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
@@ -128,8 +146,8 @@ class FragilityByStripes:
                 and {
                     "median": fit.fit.median,
                     "dispersion": fit.fit.dispersion,
-                    "median_interval": list(self._of_groups(fit.median)) or None,
-                    "dispersion_interval": list(self._of_groups(fit.dispersion)) or None,
+                    "median_interval": list(fit.median) or None,
+                    "dispersion_interval": list(fit.dispersion) or None,
                     "confidence": CONFIDENCE,
                 },
             }

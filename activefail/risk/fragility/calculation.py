@@ -14,6 +14,7 @@ from activefail.risk.fragility.curve import Curve, Ladder, risk_of
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import NO_RATES, BoundaryFragility, FragilityFindings
 from activefail.risk.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
+from activefail.shares import percent, values_in_words
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.verification.probability_estimator import Estimator
 
@@ -70,6 +71,7 @@ def fragility(
         outside=outside,
         from_outside=from_outside,
         fixed=campaign.space.written(fixed),
+        given=values_in_words(campaign.space, fixed),
         confidence=confidence,
         notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
         outcomes=outcomes,
@@ -100,6 +102,7 @@ def _under_hazard(
     parts = deaggregated(boundaries, asked.under, hazard, whole)
     why = "" if ladder.name == PGV else "the hazard's annual rates are those of PGV, not of A_p"
     outside = asked.question.outside(space)
+    few = f"{percent(outside.share)} of the hazard's pulses lie outside the campaign's design space."
     return replace(
         findings,
         boundaries=tuple(
@@ -117,7 +120,7 @@ def _under_hazard(
         median=median,
         outside_hazard=outside.share,
         why_no_risk=why if rates else NO_RATES,
-        notes=(*filter(None, [outside.advice]), *findings.notes),
+        notes=(*filter(None, [outside.advice or (few if outside.share else "")]), *findings.notes),
     )
 
 

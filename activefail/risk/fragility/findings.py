@@ -14,7 +14,7 @@ from activefail.parameter import Choice
 from activefail.risk.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
 from activefail.risk.fragility.curve import Capacity, Curve, Ladder, Lognormal, Risk, fit_lognormal, why_not_fitted
 from activefail.risk.fragility.deaggregation import Deaggregation
-from activefail.shares import percent
+from activefail.shares import percent, significant
 from activefail.space import Array
 from activefail.visible import or_worse
 
@@ -78,6 +78,7 @@ class FragilityFindings:
         outside: (n,) share of the question outside the campaign's design space at each level.
         from_outside: (n, boundaries) share of each probability that comes from there.
         fixed: values of variables.
+        given: the same in words.
         confidence: of the intervals.
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
@@ -93,6 +94,7 @@ class FragilityFindings:
     outside: Array
     from_outside: Array
     fixed: Mapping[str, Choice]
+    given: str
     confidence: float
     notes: tuple[str, ...]
     outcomes: tuple[str, ...]
@@ -107,8 +109,8 @@ class FragilityFindings:
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
         text = [heading(self)]
-        if self.fixed:
-            text.append(f"given      {fixed_in_words(self)}")
+        if self.given:
+            text.append(f"given      {self.given}")
         for one in reversed(self.boundaries):
             text.append(f"{or_worse(one.outcome, self.outcomes)}:")
             for title, line in of_boundary(self, one):
@@ -154,12 +156,8 @@ class FragilityFindings:
             share = most if least == most else f"{least} to {most}"
             sentences.append(
                 f"Where the curves are between 1 and 90 %, {share} of the distribution lies outside the campaign's "
-                f"design space, and up to {percent(float(self.from_outside[between.T].max()))} of a probability comes "
-                "from there. The classifier extrapolates there."
-            )
-        if self.outside_hazard:
-            sentences.append(
-                f"{percent(self.outside_hazard)} of the hazard's pulses lie outside the campaign's design space."
+                "design space, where the classifier extrapolates, and up to "
+                f"{percent(float(self.from_outside[between.T].max()))} of a probability comes from there."
             )
         return sentences
 
@@ -230,12 +228,6 @@ def heading(findings: FragilityFindings) -> str:
     return f"fragility against {variable}, under {findings.title}"
 
 
-def fixed_in_words(findings: FragilityFindings) -> str:
-    """The values of variables."""
-    shown = {name: value if isinstance(value, str) else f"{value:g}" for name, value in findings.fixed.items()}
-    return ", ".join(f"{name} {value}" for name, value in shown.items())
-
-
 def why_no_risk(findings: FragilityFindings) -> str:
     """Why there is no risk; empty if there is one, or if an assumption of the hazard says it."""
     return "" if findings.median is None or findings.why_no_risk == NO_RATES else findings.why_no_risk
@@ -243,9 +235,27 @@ def why_no_risk(findings: FragilityFindings) -> str:
 
 def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
     """Titles and texts of one boundary; the capacities' titles are probabilities, a continued title is empty."""
-    unit = f" {findings.ladder.unit}" if findings.ladder.unit else ""
+    unit = unit_of(findings)
     rows = [(percent(p), _capacity(*one.capacity(p), unit)) for p in CAPACITIES]
-    fit = one.lognormal
+    for level in one.verified:
+        estimate = level.estimate
+        text = (
+            f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
+            f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
+            f"simulations, contradictions: {estimate.contradictions}"
+        )
+        rows.append(("verified", text))
+    return rows + beside_capacities(findings, one)
+
+
+def unit_of(findings: FragilityFindings) -> str:
+    """The unit of the levels, as it follows a number."""
+    return f" {findings.ladder.unit}" if findings.ladder.unit else ""
+
+
+def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
+    """Those of `of_boundary` after the capacities and the verified levels."""
+    unit, fit, rows = unit_of(findings), one.lognormal, list[tuple[str, str]]()
     if fit is None:
         rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
     else:
@@ -279,14 +289,6 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
             "curve, where the curve is extrapolated"
         )
         rows.append(("risk", text))
-    for level in one.verified:
-        estimate = level.estimate
-        text = (
-            f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
-            f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
-            f"simulations, contradictions: {estimate.contradictions}"
-        )
-        rows.append(("verified", text))
     if one.deaggregation is not None:
         rows += _of_pulses(one.deaggregation)
     return rows
@@ -295,19 +297,21 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
 def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
     if capacity.level is None:
         return f"none: {capacity.reason}"
-    shown = f"{capacity.level:.3g}{unit}"
-    match interval.low, interval.high:
-        case None, None:
-            return shown
-        case None, high:
-            ends = f"interval up to {high:.3g}, the lower end is unknown"
-        case low, None:
-            ends = f"interval from {low:.3g}, the upper end is unknown"
-        case low, high:
-            ends = f"interval {low:.3g} to {high:.3g}"
+    shown = f"{significant(capacity.level)}{unit}"
+    if not (ends := ends_in_words(interval)):
+        return shown
     unknown = f" ({interval.interval_reason})" if interval.interval_reason else ""
-    middle = "" if interval.verified is None else f"; {interval.verified:.3g} after correction by the simulations"
-    return f"{shown}{middle}, {ends}{unknown}"
+    if (middle := interval.verified) is not None:
+        shown += f"; {significant(middle)} after correction by the simulations"
+    return f"{shown}, interval {ends}{unknown}"
+
+
+def ends_in_words(interval: Interval) -> str:
+    """The ends of a capacity's interval; empty if both are unknown."""
+    low, high = ("" if end is None else significant(end) for end in (interval.low, interval.high))
+    if low and high:
+        return f"{low} to {high}"
+    return f"from {low}" if low else f"up to {high}" if high else ""
 
 
 def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:

@@ -20,6 +20,7 @@ from activefail.risk.ida.equivalent_pulse import Prediction, PulseComparison
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
 from activefail.space import Array
+from activefail.visible import or_worse
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,11 @@ class IdaFindings:
     def is_of_worst(self) -> bool:
         """Whether the outcome that is sought is the most severe one."""
         return self.outcome == self.subject.outcomes[-1]
+
+    @property
+    def event(self) -> str:
+        """The outcome that is sought, or a worse one, in words."""
+        return or_worse(self.outcome, self.subject.outcomes)
 
     @property
     def failed(self) -> int:
