@@ -65,10 +65,10 @@ def draw_learning_curves(axes: Axes | None, scores: Sequence[Score], boundary: s
         end = same.largest if same.size is None else same.size
         axes.plot([same.simulations, end], [100.0 * same.accuracy] * 2, color=GREY, linestyle=":", zorder=0)
     axes.set(xlabel="simulations trained on", ylabel=f"accuracy for {boundary} on fresh designs [%]")
-    shared = "one set for both" if all(sizes.values()) else "one set"
+    shared = " (one set for both)" if all(sizes.values()) else ""
     several = max(score.hypercube for score in scores) + 1
     static = f"\nstatic: lowest to highest of {several} designs of each size" if several > 1 else ""
-    title = f"Band: 95 % interval over test sets of {test_size} designs ({shared}){static}"
+    title = f"Band: 95 % interval over test sets of {test_size} designs{shared}{static}"
     width = cast(Figure, axes.get_figure(root=True)).get_size_inches()[0]
     axes.set_title(title, fontsize=fitting_size(title.split("\n"), width - 0.8))
     return axes
