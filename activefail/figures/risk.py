@@ -223,8 +223,8 @@ def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
         lengths = np.maximum([middle - low, high - middle], 0.0)
         axes.errorbar(x, middle, lengths, color=colour, marker=marker, linestyle="", capsize=4)
         axes.axhline(100.0 * one.target, color=colour, linestyle="--", label=text)
-    names = [f"look {number}\n{findings.in_words(look.candidate.values)}" for number, look in enumerate(looks, 1)]
-    axes.set_xticks(range(len(looks)), map(plain, names))
+    names = [f"look {number}, {findings.in_words(look.candidate.values)}" for number, look in enumerate(looks, 1)]
+    axes.set_xticks(range(len(looks)), [plain(name).replace(", ", "\n") for name in names])
     axes.set(xlim=(-0.6, len(looks) - 0.4), ylabel="probability from fresh simulations [%]")
     axes.set_ylim(bottom=0.0)
     legend_outside(figure)

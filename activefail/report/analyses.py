@@ -213,13 +213,10 @@ def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | Non
     targets = [f"{event} ≤ {100.0 * one.target:.4g} %" for event, one in zip(events, task.requirements, strict=True)]
     drawn = inlined((figures or {"looks": plot_looks(findings, targets)}).values(), "design", title)
     sure = f"{100.0 * designed.result.of_bound:.3g} % confidence"
-    cards = [
-        (
-            f"design, {what}",
-            findings.in_words(designed.values, with_units=True),
-            f"{100.0 * task.confidence:g} % confidence for the result",
-        )
-    ]
+    # A line breaks only between variables.
+    design = findings.in_words(designed.values, with_units=True).replace(" ", "\N{NO-BREAK SPACE}")
+    design = design.replace(",\N{NO-BREAK SPACE}", ", ")
+    cards = [(f"design, {what}", design, f"{100.0 * task.confidence:g} % confidence for the result")]
     for event, one, of in zip(events, task.requirements, designed.result.estimates, strict=True):
         name, values = f"{event} from fresh simulations", [of.probability, of.low, of.high, one.target]
         if (rate := task.rate) is not None:

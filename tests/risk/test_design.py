@@ -173,7 +173,7 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
     assert (numbers["target"], numbers["confidence"], numbers["status"]) == (0.1, 0.95, "verified")
     page = (out / "design.html").read_text()
     assert "The design meets its target" in page
-    assert f"<b>capacity = {values['capacity']:.4g}" in page
+    assert f"<b>capacity\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{values['capacity']:.4g}" in page
     assert f"<b>{percent(numbers['probability'], 2)}</b>" in page
     options = ("--code", folder, "--question", folder / "site.toml", "--fixed", out / "design.toml")
     again = activefail("probability", folder / "run", *options, "--simulations", 350, "--json")
