@@ -92,7 +92,7 @@ class Run:
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
-        self._predicts: Classifier | SavedClassifier | None = None
+        self._predicts: tuple[int | None, Classifier | SavedClassifier] | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -343,15 +343,17 @@ class Run:
         """
         from activefail.loop.saved_learning import predicting, saved_current
 
-        if after is not None:
-            return predicting(self.campaign, self.classifier_after(after), self.history[:after])
         with self._turn:
-            if self._predicts is None and len(self.history):
-                with one_thread_of_blas():
-                    self._predicts = saved_current(self.campaign, self.store)
-            if self._predicts is None:
-                self._predicts = predicting(self.campaign, self.classifier, self.history)
-            return self._predicts
+            if self._predicts is None or self._predicts[0] != after:
+                predicts: Classifier | SavedClassifier | None = None
+                if after is None and len(self.history):
+                    with one_thread_of_blas():
+                        predicts = saved_current(self.campaign, self.store)
+                if predicts is None:
+                    learned = self.classifier if after is None else self.classifier_after(after)
+                    predicts = predicting(self.campaign, learned, self.history[:after])
+                self._predicts = after, predicts
+            return self._predicts[1]
 
     def classifier_after(self, simulations: int) -> "Classifier":
         """The classifier of the first simulations, numerical failures included.
@@ -369,6 +371,20 @@ class Run:
             return self.classifier
         with one_thread():
             return classifier_after(self.campaign, first)
+
+    def classifier_in_words(self, after: int | None = None) -> str:
+        """How many results the classifier that predicts has learned from, and what is known of its error.
+
+        Args:
+            after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
+        """
+        from activefail.findings.learned_from import known_in_words
+        from activefail.verification.scores import last_error
+
+        history = self.history if after is None else self.history[:after]
+        error = last_error(self.store) if len(history) == len(self.history) else None
+        with one_thread_of_blas():
+            return known_in_words(self.campaign, history, self._predicting(after), error)
 
     @property
     def learned_from(self) -> list[str]:

@@ -20,6 +20,7 @@ from activefail.cli.common import (
     show_stage,
     show_unseen,
     show_warnings,
+    shown_warnings,
     table_input,
     table_output,
 )
@@ -191,16 +192,12 @@ def predict(
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs by the classifier."""
-    from activefail.findings.tables import outside_in_words
-
-    with table_output("--out", out) as target:
-        with opened_run(folder, code=code) as opened:
-            summary = opened.summary if after is None else opened.summary_after(after)
-            with progress_bar("predicting") as begin:
-                outside = opened.predict_table(table_input(csv), target, begin, after)
-            show_unseen(summary)
-        if outside:
-            show_warnings([outside_in_words(outside)])
+    with table_output("--out", out) as target, opened_run(folder, code=code) as opened:
+        summary = opened.summary if after is None else opened.summary_after(after)
+        with shown_warnings(), progress_bar("predicting") as begin:
+            opened.predict_table(table_input(csv), target, begin, after)
+        show_unseen(summary)
+        print(f"classifier {opened.classifier_in_words(after)}")
         print(f"written to {name_of(out)}")
 
 

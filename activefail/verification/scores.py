@@ -152,6 +152,12 @@ def error_in_words(error: Mapping[str, Any]) -> tuple[str, str]:
     return text, f"{simulations}{requested} fresh simulations{widened}"
 
 
+def verified_in_words(error: Mapping[str, Any]) -> str:
+    """A verified error with its interval, its confidence and what it rests on, from its numbers in JSON."""
+    text, basis = error_in_words(error)
+    return f"{text} of the design space with {100.0 * error['confidence']:g} % confidence, {basis}"
+
+
 def last_error(store: Store) -> Mapping[str, Any] | None:
     """The numbers of the error that was verified last, by a user or the stop rule; None unless it is of this record."""
     numbers = dict.fromkeys(("error", "low", "high", "confidence"), Real)
