@@ -21,6 +21,7 @@ from activefail.files import path_of
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
+from activefail.numerals import duration
 from activefail.record.batch import INITIAL
 from activefail.request import method_of
 from activefail.requests import (
@@ -60,7 +61,7 @@ class Taken(NamedTuple):
     Attributes:
         finished: whether the campaign reached its budget or its stop rule; False if it was stopped before.
         progress: of the campaign.
-        first_fault: why the first abandoned simulation failed, with its design; empty if there is none.
+        first_fault: why the first simulation without a result failed, with its design; empty if all have one.
         stop_rule: how the stop rule ended the campaign before its budget, or why it cannot; empty otherwise.
     """
 
@@ -71,8 +72,8 @@ class Taken(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """The warning about abandoned simulations; empty if there are none."""
-        return self.first_fault and f"simulations were abandoned; the first failed with: {self.first_fault}"
+        """The warning about simulations without a result; empty if there are none."""
+        return self.first_fault and f"simulations failed and gave no result; the first one: {self.first_fault}"
 
 
 class Run:
@@ -616,6 +617,13 @@ class Run:
     def _shown_executor(self) -> "CountingExecutor":
         """All cores of this machine, with a progress bar."""
         return shown_executor(self._local_executor())
+
+    def _duration_of(self, simulations: int, workers: int) -> str:
+        """About how long simulations take by those in the record, as the end of a sentence; empty if none was timed."""
+        seconds = [one for batch in self.store.batches for one in batch.results.seconds.tolist() if one > 0.0]
+        if not seconds:
+            return ""
+        return f", {duration(sum(seconds) / len(seconds) * -(-simulations // workers))}"
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor

@@ -19,9 +19,9 @@ import pytest
 import typer
 from cases import some
 from commandline import CommandResult, activefail, holding, record, refused, sets, started, table, wait_for
-from patience import PATIENCE, until
+from patience import PATIENCE, Clock, until
 
-from activefail import __version__, open_run
+from activefail import __version__, display, open_run
 from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
@@ -670,12 +670,28 @@ def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -
     )
 
 
+def test_work_without_a_terminal_says_now_and_then_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(display, "time", Clock(lambda: now[-1]))
+    with display.progress_bar("simulating") as begin:
+        advance = begin(6)
+        for seconds in (9.0, 11.0, 20.0):
+            now.append(seconds)
+            advance(2)
+    assert capsys.readouterr().err == "simulating: 4 of 6\n"
+
+
 def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Path) -> None:
     result = activefail("verify", folder, "--simulations", "30")
     assert result.code == 0
     assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", result.out)
+    assert re.search(r"^simulating 30 fresh designs, less than 1 s$", result.err, re.M)
     before = sets(folder)
-    assert activefail("verify", folder, "--simulations", "30").out == result.out
+    again = activefail("verify", folder, "--simulations", "30")
+    assert again.out == result.out
+    assert "simulating" not in again.err
     assert sets(folder) == before
 
 
@@ -903,6 +919,15 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "stopped; nothing was saved. Run the same command to start over."
     assert list((tmp_path / "paper").iterdir()) == []
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_while_a_campaign_starts_says_how_to_continue(tiny: Path, tmp_path: Path) -> None:
+    words = ("run", tiny, "--out", tmp_path / "run")
+    with holding("activefail.findings.ending:stop_messages", *words) as running:
+        running.wait()
+        err = struck_as_by_a_terminal(running.process)
+    assert err.splitlines()[-1].endswith(f"Continue with: activefail resume {tmp_path / 'run'}")
 
 
 @pytest.mark.faults

@@ -128,10 +128,11 @@ def _take(
     executor_options: str = "",
 ) -> None:
     """Run a campaign to its end and print how it ended."""
-    show_warnings([*run.store.new_warnings(), run.stop_rule_warning])
-    stops = run.stop_messages
-    command = run.resume_command(budget, failure_limit, ignore_stop, executor_options)
+    command, kept = run.resume_command(budget, failure_limit, ignore_stop, executor_options), "nothing was simulated"
     try:
+        stops = run.stop_messages
+        kept = stops.immediate
+        show_warnings([*run.store.new_warnings(), run.stop_rule_warning])
         taken = run.take(
             budget,
             failure_limit=failure_limit,
@@ -140,7 +141,7 @@ def _take(
             executor_options=executor_options,
         )
     except KeyboardInterrupt:
-        print(f"stopped; {stops.immediate}. Continue with: {command}", file=sys.stderr)
+        print(f"stopped; {kept}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     show_warnings([*run.store.new_warnings(), taken.warning])
     if not taken.finished:
