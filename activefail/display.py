@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from activefail.loop.progress import Observer, Progress
 
 
+_BETWEEN_LINES = 10.0
+"""Least time between two lines of progress where there is no terminal [s]."""
+
 _log = logging.getLogger("activefail")
 
 
@@ -53,7 +56,7 @@ def with_times(enter: Callable[[str], None]) -> Callable[[str], None]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
-    """A progress bar on a terminal and in a notebook, otherwise nothing.
+    """A progress bar on a terminal and in a notebook, otherwise a line every 10 s.
 
     Yields a function that takes the total number of rows and returns a callback for finished rows.
     """
@@ -68,8 +71,17 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
     with Progress(*columns, console=console, transient=True, disable=is_quiet() or not console.is_terminal) as bar:
 
         def begin(total: int) -> Callable[[int], None]:
-            task = bar.add_task(title, total=total)
-            return lambda done: bar.advance(task, done)
+            task, finished, shown_at = bar.add_task(title, total=total), 0, time.monotonic()
+
+            def advance(done: int) -> None:
+                nonlocal finished, shown_at
+                bar.advance(task, done)
+                finished += done
+                if bar.disable and not is_quiet() and time.monotonic() - shown_at > _BETWEEN_LINES:
+                    shown_at = time.monotonic()
+                    print(f"{title}: {finished} of {total}", file=sys.stderr, flush=True)
+
+            return advance
 
         yield begin
 
@@ -104,7 +116,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
             learned = progress.done >= campaign.settings.sampling.initial
             if shown_iteration < 0:
                 print(seeking_line(campaign))
-            if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > 10.0:
+            if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > _BETWEEN_LINES:
                 shown_iteration, shown_at = progress.iteration, time.monotonic()
                 print(_progress_line(campaign, progress), flush=True)
 

@@ -86,11 +86,16 @@ def description_of(error: BaseException) -> str:
         return f"{name}, whose message cannot be read ({type(message_error).__name__})"
 
 
-def place_of(error: BaseException) -> str:
-    """Where an error was raised, as " (file:line)": the innermost frame of user code, or else of all code."""
+def place_of(error: BaseException, users: bool = False) -> str:
+    """Where an error was raised, as " (file:line)": the innermost frame of user code, or else of all code.
+
+    Args:
+        error: the error.
+        users: whether only user code is a place; empty then if none raised it.
+    """
     lines = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     user_lines = [(file, line) for file, line in lines if _is_user_code(file)]
-    return "".join(f" ({file}:{line})" for file, line in (user_lines or lines)[-1:])
+    return "".join(f" ({file}:{line})" for file, line in (user_lines or lines * (not users))[-1:])
 
 
 def _is_user_code(file: str) -> bool:

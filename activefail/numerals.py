@@ -41,3 +41,16 @@ def outcomes_in_words(counts: Sequence[int], outcomes: Iterable[str]) -> list[st
     """Numbers of simulations by outcome in words, those without one last; counts have one more than outcomes."""
     *seen, lost = counts
     return [*(f"{n} {name}" for n, name in zip(seen, outcomes, strict=True)), counted(lost, "numerical failure")]
+
+
+def duration(seconds: float) -> str:
+    """About how long something takes, in words.
+
+    >>> [duration(seconds) for seconds in (0.2, 40.0, 420.0, 10000.0)]
+    ['less than 1 s', 'about 40 s', 'about 7 min', 'about 3 h']
+    """
+    if seconds < 1.0:
+        return "less than 1 s"
+    if seconds < 100.0:
+        return f"about {seconds:.0f} s"
+    return f"about {seconds / 60.0:.0f} min" if seconds < 6000.0 else f"about {seconds / 3600.0:.0f} h"

@@ -11,6 +11,7 @@ from activefail.csv_table import Target
 from activefail.errors import InputError, naming
 from activefail.files import check_file, path_of, writing_to
 from activefail.names import INTENSITIES
+from activefail.numerals import counted
 from activefail.progress import Stage, silent
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.request import REQUIRED, Option, Request, declared, function_of, option, options
@@ -690,7 +691,15 @@ def estimating(
     run._check_initial_design()
     with nullcontext(executor) if executor or not simulates else run._shown_executor() as pool, one_thread():
         learned, last = run.learn(stage), run.history.last_iteration
-        yield Estimator(run.campaign, run.store, pool, learned.classifier, last)
+        workers = getattr(pool, "workers", 1)
+
+        def announce(simulations: int) -> None:
+            stage(f"simulating {counted(simulations, 'fresh design')}{run._duration_of(simulations, workers)}")
+
+        try:
+            yield Estimator(run.campaign, run.store, pool, learned.classifier, last, announce=announce)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("simulations are kept; the same command continues") from None
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from activefail.files import path_of
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
+from activefail.numerals import duration
 from activefail.record.batch import INITIAL
 from activefail.request import method_of
 from activefail.requests import (
@@ -60,7 +61,7 @@ class Taken(NamedTuple):
     Attributes:
         finished: whether the campaign reached its budget or its stop rule; False if it was stopped before.
         progress: of the campaign.
-        first_fault: why the first abandoned simulation failed, with its design; empty if there is none.
+        first_fault: why the first simulation without a result failed, with its design; empty if all have one.
         stop_rule: how the stop rule ended the campaign before its budget, or why it cannot; empty otherwise.
     """
 
@@ -71,8 +72,8 @@ class Taken(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """The warning about abandoned simulations; empty if there are none."""
-        return self.first_fault and f"simulations were abandoned; the first failed with: {self.first_fault}"
+        """The warning about simulations without a result; empty if there are none."""
+        return self.first_fault and f"simulations failed and gave no result; the first one: {self.first_fault}"
 
 
 class Run:
@@ -92,7 +93,7 @@ class Run:
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
-        self._predicts: Classifier | SavedClassifier | None = None
+        self._predicts: tuple[int | None, Classifier | SavedClassifier] | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -343,15 +344,17 @@ class Run:
         """
         from activefail.loop.saved_learning import predicting, saved_current
 
-        if after is not None:
-            return predicting(self.campaign, self.classifier_after(after), self.history[:after])
         with self._turn:
-            if self._predicts is None and len(self.history):
-                with one_thread_of_blas():
-                    self._predicts = saved_current(self.campaign, self.store)
-            if self._predicts is None:
-                self._predicts = predicting(self.campaign, self.classifier, self.history)
-            return self._predicts
+            if self._predicts is None or self._predicts[0] != after:
+                predicts: Classifier | SavedClassifier | None = None
+                if after is None and len(self.history):
+                    with one_thread_of_blas():
+                        predicts = saved_current(self.campaign, self.store)
+                if predicts is None:
+                    learned = self.classifier if after is None else self.classifier_after(after)
+                    predicts = predicting(self.campaign, learned, self.history[:after])
+                self._predicts = after, predicts
+            return self._predicts[1]
 
     def classifier_after(self, simulations: int) -> "Classifier":
         """The classifier of the first simulations, numerical failures included.
@@ -369,6 +372,20 @@ class Run:
             return self.classifier
         with one_thread():
             return classifier_after(self.campaign, first)
+
+    def classifier_in_words(self, after: int | None = None) -> str:
+        """How many results the classifier that predicts has learned from, and what is known of its error.
+
+        Args:
+            after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
+        """
+        from activefail.findings.learned_from import known_in_words
+        from activefail.verification.scores import last_error
+
+        history = self.history if after is None else self.history[:after]
+        error = last_error(self.store) if len(history) == len(self.history) else None
+        with one_thread_of_blas():
+            return known_in_words(self.campaign, history, self._predicting(after), error)
 
     @property
     def learned_from(self) -> list[str]:
@@ -600,6 +617,13 @@ class Run:
     def _shown_executor(self) -> "CountingExecutor":
         """All cores of this machine, with a progress bar."""
         return shown_executor(self._local_executor())
+
+    def _duration_of(self, simulations: int, workers: int) -> str:
+        """About how long simulations take by those in the record, as the end of a sentence; empty if none was timed."""
+        seconds = [one for batch in self.store.batches for one in batch.results.seconds.tolist() if one > 0.0]
+        if not seconds:
+            return ""
+        return f", {duration(sum(seconds) / len(seconds) * -(-simulations // workers))}"
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor

@@ -61,8 +61,9 @@ def power(value: float, digits: int) -> str:
 
 
 def short(value: float) -> str:
-    """A number to at most four digits, without zeros at its end: "0.694", "2·10⁹"."""
-    return _raised(f"{value:.4g}")
+    """A number like "0.694" or "2·10⁹": in full up to six digits, else to four, or all before the point."""
+    digits = 6 if float(f"{value:.6g}") == value else min(6, max(4, len(f"{abs(value):.0f}")))
+    return _raised(f"{value:.{digits}g}")
 
 
 def _raised(text: str) -> str:

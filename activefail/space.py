@@ -351,6 +351,18 @@ class DesignSpace:
         inside = [one.spans(x) for one, x in zip(self.parameters, np.asarray(X).T, strict=True)]
         return np.asarray(np.all(inside, axis=0)) & self.meets_constraints(X)
 
+    def broken_rule(self, design: Array) -> tuple[str, str, Any] | None:
+        """The variable, rule and value that keep a design, (d,), out of this space; None if it belongs to it."""
+        values = dict(zip(self.names, design.tolist(), strict=True))
+        for one in self.parameters:
+            if not one.contains(values[one.name]):
+                return one.name, one.rule, values[one.name]
+        for constraint in self.constraints:
+            if not constraint.holds(self.quantities(values)):
+                name = next(name for name in self.names if name in constraint.names)
+                return name, f"the constraint {constraint.text!r} must hold", self.written(values)[name]
+        return None
+
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
         """The variables of designs, (n, d), by name, (n,) each, as people see them (see Parameter.column)."""
         columns = np.reshape(X, (-1, self.dimension)).T

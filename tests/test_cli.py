@@ -19,9 +19,9 @@ import pytest
 import typer
 from cases import some
 from commandline import CommandResult, activefail, holding, record, refused, sets, started, table, wait_for
-from patience import PATIENCE, until
+from patience import PATIENCE, Clock, until
 
-from activefail import __version__
+from activefail import __version__, display, open_run
 from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
@@ -32,6 +32,7 @@ from activefail.interrupts import stop_on_signals
 from activefail.loop.progress import Observer
 from activefail.loop.running import run as run_loop
 from activefail.record.run_folder import FolderStore
+from activefail.shares import percent
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
 
@@ -453,8 +454,11 @@ def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: P
     (tmp_path / "in.csv").write_text(f"site,{HEADER}\nA,{ROW}\nB,{ROW.replace('0.06', '0.5')}\n")
     result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     assert result.code == 0
-    assert result.err == "warning: 1 design lies outside the design space, where the classifier extrapolates\n"
-    assert result.out == f"written to {tmp_path / 'out.csv'}\n"
+    assert result.err == (
+        "warning: 1 design lies outside the design space, where the classifier may extrapolate (the first by mu: "
+        "`0.02 <= mu <= 0.12` must hold, got 0.5)\n"
+    )
+    assert result.out.endswith(f"written to {tmp_path / 'out.csv'}\n")
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
 
@@ -484,6 +488,27 @@ def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(
     result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     refused(result, f"{tmp_path / 'in.csv'}", part)
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_predictions_say_what_is_known_of_the_classifier(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+
+    def said(*words: str) -> str:
+        predicted = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv", *words)
+        return predicted.out.splitlines()[0]
+
+    with open_run(folder) as run:
+        counts = [f"{run.counts[name]} {name}" for name in ("no_impact", "impact", "failure")]
+        expected = run.findings.expected
+    learned = f"classifier learned from 30 results ({', '.join(counts)})"
+    of = "of the design space by its own probabilities, without an interval"
+    assert said() == f"{learned}; expected error {percent(expected, 2)} {of}"
+    assert said("--after", "20").startswith("classifier learned from 20 results (")
+    verified = activefail("verify", folder, "--simulations", "20").out.splitlines()[1]
+    assert said().startswith(
+        f"{learned}; verified error {verified.split(None, 1)[1].split(' of the')[0]} of the design"
+    )
+    assert "expected error" in said("--after", "20")
 
 
 def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path, tmp_path: Path) -> None:
@@ -645,12 +670,28 @@ def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -
     )
 
 
+def test_work_without_a_terminal_says_now_and_then_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(display, "time", Clock(lambda: now[-1]))
+    with display.progress_bar("simulating") as begin:
+        advance = begin(6)
+        for seconds in (9.0, 11.0, 20.0):
+            now.append(seconds)
+            advance(2)
+    assert capsys.readouterr().err == "simulating: 4 of 6\n"
+
+
 def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Path) -> None:
     result = activefail("verify", folder, "--simulations", "30")
     assert result.code == 0
     assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", result.out)
+    assert re.search(r"^simulating 30 fresh designs, less than 1 s$", result.err, re.M)
     before = sets(folder)
-    assert activefail("verify", folder, "--simulations", "30").out == result.out
+    again = activefail("verify", folder, "--simulations", "30")
+    assert again.out == result.out
+    assert "simulating" not in again.err
     assert sets(folder) == before
 
 
@@ -878,6 +919,15 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "stopped; nothing was saved. Run the same command to start over."
     assert list((tmp_path / "paper").iterdir()) == []
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_while_a_campaign_starts_says_how_to_continue(tiny: Path, tmp_path: Path) -> None:
+    words = ("run", tiny, "--out", tmp_path / "run")
+    with holding("activefail.findings.ending:stop_messages", *words) as running:
+        running.wait()
+        err = struck_as_by_a_terminal(running.process)
+    assert err.splitlines()[-1].endswith(f"Continue with: activefail resume {tmp_path / 'run'}")
 
 
 @pytest.mark.faults

@@ -79,7 +79,7 @@ def test_the_command_tells_the_probability_with_its_interval_and_the_bound_witho
     assert result.code == 0, result.err
     assert "probability of failure: 0.00" in result.out
     assert "with 90 % confidence" in result.out
-    assert "bound      0.18 without a model, one-sided at 90 %, from the 12 simulations" in result.out
+    assert "bound      at most 0.18 with 90 % confidence, without a model: from the 12 simulations" in result.out
     assert "Method of the fresh simulations: importance sampling of the classifier's mistakes." in result.out
     assert "The interval assumes a limit state that is smooth" in result.out
 
@@ -147,7 +147,7 @@ def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tm
     result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10")
     assert result.code == 0, result.err
     assert "interval   0 to 0.18, without a model; 0 to " in result.out
-    assert "bound      0.18 without a model" in result.out
+    assert "bound      at most 0.18 with 90 % confidence, without a model" in result.out
     found = json.loads(
         activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10", "--json").out
     )["outcomes"]["failure"]

@@ -144,6 +144,10 @@ def test_values_between_the_steps_are_refused_by_questions_and_tables(folder: Pa
             run.probability(fixed={"plate": 7.3})
         with pytest.raises(InputError, match=r"storeys: `1 <= storeys <= 5` in steps of 1 must hold"):
             run.add({"load": [20.0], "plate": [8.0], "storeys": [2.5], "margin": [1.0]})
+        with pytest.warns(
+            UserWarning, match=r"1 design .*\(the first by storeys: .* in steps of 1 must hold, got 2\.5\)"
+        ):
+            run.predict({"load": [20.0], "plate": [8.0], "storeys": [2.5]})
 
 
 def test_a_question_of_a_stepped_variable_keeps_its_own_range_on_the_campaign_s_grid(folder: Path) -> None:

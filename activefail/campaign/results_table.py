@@ -411,15 +411,8 @@ def _check_inside(space: DesignSpace, table: Table, row: int, design: Array) -> 
     Raises:
         InputError: naming the first variable that does not, or whose constraint does not hold.
     """
-    values = dict(zip(space.names, design.tolist(), strict=True))
-    written = space.written(values)
-    for parameter in space.parameters:
-        if not parameter.contains(values[parameter.name]):
-            raise table.broken(row, parameter.name, parameter.rule, values[parameter.name])
-    for constraint in space.constraints:
-        if not constraint.holds(space.quantities(values)):
-            name = next(name for name in space.names if name in constraint.names)
-            raise table.broken(row, name, f"the constraint {constraint.text!r} must hold", written[name])
+    if broken := space.broken_rule(design):
+        raise table.broken(row, *broken)
 
 
 def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:

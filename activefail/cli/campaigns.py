@@ -20,6 +20,7 @@ from activefail.cli.common import (
     show_stage,
     show_unseen,
     show_warnings,
+    shown_warnings,
     table_input,
     table_output,
 )
@@ -127,10 +128,11 @@ def _take(
     executor_options: str = "",
 ) -> None:
     """Run a campaign to its end and print how it ended."""
-    show_warnings([*run.store.new_warnings(), run.stop_rule_warning])
-    stops = run.stop_messages
-    command = run.resume_command(budget, failure_limit, ignore_stop, executor_options)
+    command, kept = run.resume_command(budget, failure_limit, ignore_stop, executor_options), "nothing was simulated"
     try:
+        stops = run.stop_messages
+        kept = stops.immediate
+        show_warnings([*run.store.new_warnings(), run.stop_rule_warning])
         taken = run.take(
             budget,
             failure_limit=failure_limit,
@@ -139,7 +141,7 @@ def _take(
             executor_options=executor_options,
         )
     except KeyboardInterrupt:
-        print(f"stopped; {stops.immediate}. Continue with: {command}", file=sys.stderr)
+        print(f"stopped; {kept}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     show_warnings([*run.store.new_warnings(), taken.warning])
     if not taken.finished:
@@ -191,16 +193,12 @@ def predict(
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs by the classifier."""
-    from activefail.findings.tables import outside_in_words
-
-    with table_output("--out", out) as target:
-        with opened_run(folder, code=code) as opened:
-            summary = opened.summary if after is None else opened.summary_after(after)
-            with progress_bar("predicting") as begin:
-                outside = opened.predict_table(table_input(csv), target, begin, after)
-            show_unseen(summary)
-        if outside:
-            show_warnings([outside_in_words(outside)])
+    with table_output("--out", out) as target, opened_run(folder, code=code) as opened:
+        summary = opened.summary if after is None else opened.summary_after(after)
+        with shown_warnings(), progress_bar("predicting") as begin:
+            opened.predict_table(table_input(csv), target, begin, after)
+        show_unseen(summary)
+        print(f"classifier {opened.classifier_in_words(after)}")
         print(f"written to {name_of(out)}")
 
 

@@ -2,6 +2,7 @@
 
 import sys
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -156,3 +157,12 @@ def show_warnings(warnings: Iterable[str]) -> None:
     """Print warnings to the error stream; skip empty texts."""
     for warning in filter(None, warnings):
         print(f"warning: {visible(warning)}", file=sys.stderr)
+
+
+@contextmanager
+def shown_warnings() -> Iterator[None]:
+    """Print Python's warnings as those of the command line."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    show_warnings(str(one.message) for one in caught)

@@ -1,9 +1,7 @@
 """Commands on simulations done elsewhere: create, ask, tell, drop, add."""
 
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,6 +16,7 @@ from activefail.cli.common import (
     opened_run,
     show_unseen,
     show_warnings,
+    shown_warnings,
     table_input,
     table_output,
 )
@@ -154,15 +153,6 @@ class _NothingError(Exception):
 _WAITING = "; --in-flight writes the designs in flight again"
 
 
-@contextmanager
-def _shown_warnings() -> Iterator[None]:
-    """Print Python's warnings as those of the command line."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield
-    show_warnings(str(one.message) for one in caught)
-
-
 def _numbers(table: "DataFrame") -> str:
     ids = table["id"].tolist()
     if len(ids) == 1:
@@ -188,7 +178,7 @@ def tell(
 ) -> None:
     """Record the results of designs that were handed out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
-        with _shown_warnings():
+        with shown_warnings():
             new = opened.tell(
                 table_input(csv), correct=correct, changed=changed, names=_names(names), skip_invalid=skip_invalid
             )
@@ -270,7 +260,7 @@ def add(
 ) -> None:
     """Record simulations that `ask` did not hand out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
-        with _shown_warnings():
+        with shown_warnings():
             new = opened.add(table_input(csv), names=_names(names), skip_invalid=skip_invalid, outside=outside)
         summary = opened.summary
     print(f"{counted(new, 'simulation')} added")

@@ -115,4 +115,4 @@ def _description_of(design: str, error: BaseException) -> str:
         if _is_ctrl_c(message_error):
             raise
         description = f"{type(error).__name__}, whose message cannot be read (KeyboardInterrupt)"
-    return f"{design}: {description}{place_of(error)}"
+    return f"{design}: {description}{place_of(error, users=True)}"

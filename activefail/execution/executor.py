@@ -122,6 +122,11 @@ class CountingExecutor:
 
             return self.executor.run(simulator, X, advance)
 
+    @property
+    def workers(self) -> int:
+        """How many designs it simulates at a time; 1 if that is unknown."""
+        return getattr(self.executor, "workers", 1)
+
     def __enter__(self) -> Self:
         self.executor.__enter__()
         return self

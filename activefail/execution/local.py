@@ -54,7 +54,7 @@ class ThreadExecutor:
         answer: Callable[[Simulator, Array], Results] = answer,
         rows_a_call: int = _ROWS_A_CALL,
     ) -> None:
-        self._workers, self._answer, self._rows_a_call = workers, answer, rows_a_call
+        self.workers, self._answer, self._rows_a_call = workers, answer, rows_a_call
         self._pool = ThreadPoolExecutor(workers)
         self._done: _Done = SimpleQueue()
 
@@ -63,7 +63,7 @@ class ThreadExecutor:
         n = len(X)
         if n == 0:
             return unanswered(simulator, 0)
-        rows = max(1, min(self._rows_a_call, n // (4 * self._workers)))
+        rows = max(1, min(self._rows_a_call, n // (4 * self.workers)))
         firsts = range(0, n, rows)
         done: _Done = SimpleQueue()
         parts: dict[int, Results] = {}

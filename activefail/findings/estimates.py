@@ -194,8 +194,8 @@ class ProbabilityFindings:
             ),
             (
                 "classifier",
-                f"{model}, learned from {learned}, without an interval; contradictions by fresh "
-                f"simulations: {estimate.contradictions}",
+                f"{model}, learned from {learned}, without an interval; fresh simulations on the other side "
+                f"than predicted: {estimate.contradictions} of {estimate.simulations}",
             ),
         ]
         rows += [("mode", " ".join(mode)) for mode in modes_in_words(estimate.modes)]
@@ -210,8 +210,8 @@ class ProbabilityFindings:
             ),
             (
                 "bound",
-                f"{rounded_up(self.bound.high)} without a model, one-sided at 90 %, from the {self.bound.in_words} "
-                "alone",
+                f"at most {rounded_up(self.bound.high)} with 90 % confidence, without a model: from the "
+                f"{self.bound.in_words} alone",
             ),
             *(("note", sentence) for sentence in self.assumptions),
         ]
@@ -284,14 +284,14 @@ class ProbabilityFindings:
             )
         if not self.repeatable:
             sentences.append(
-                "The simulator does not repeat: the probability includes its noise. Contradictions are results that "
-                "the noise does not explain."
+                "The simulator does not repeat: the probability includes its noise. Results that the noise "
+                "explains are not counted as on the other side."
             )
         if self.lost is not None:
             sentences.append(
                 f"Runs without a result are neither. By the classifier, the probability is {self.lost[0]:.3g} if none "
                 f"of them would have ended in {name}, and {self.lost[1]:.3g} if all would. The interval includes both. "
-                "simulator.lost says what they mean."
+                "simulator.lost of a new campaign says what they mean."
             )
         sentences.append(f"Method of the fresh simulations: {estimate.method}.")
         sentences.append(

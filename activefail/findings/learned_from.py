@@ -5,6 +5,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from activefail.numerals import counted
+from activefail.shares import percent
+from activefail.verification.scores import verified_in_words
 from activefail.visible import margin_in_words, visible, words
 
 if TYPE_CHECKING:
@@ -12,6 +15,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.loop.history import History
     from activefail.surrogate.classifier import Classifier
+    from activefail.surrogate.saved import SavedClassifier
 
 
 class LearnedFrom(NamedTuple):
@@ -68,6 +72,31 @@ def source_in_words(name: str) -> str:
     if not name:
         return "the outcomes"
     return margin_in_words(name) if name.isidentifier() else f"the system {visible(name)}"
+
+
+def known_in_words(
+    campaign: "Campaign",
+    history: "History",
+    classifier: "Classifier | SavedClassifier",
+    error: Mapping[str, Any] | None,
+) -> str:
+    """How many results a classifier learned from, and what is known of its error.
+
+    Args:
+        campaign, history, classifier: the campaign, the simulations that were learned from, and their classifier.
+        error: verified, as `verification.scores.last_error`; None without one.
+    """
+    from activefail.verification.error import expected_error
+
+    counts = history.counts(len(campaign.simulator.outcomes)).tolist()
+    seen = ", ".join(f"{n} {name}" for n, name in zip(counts, campaign.simulator.outcomes, strict=True))
+    text = f"learned from {counted(sum(counts), 'result')} ({visible(seen)})"
+    if not campaign.settings.is_repeatable:
+        return text
+    if error is not None:
+        return f"{text}; verified error {verified_in_words(error)}"
+    expected = percent(expected_error(campaign, classifier), 2)
+    return f"{text}; expected error {expected} of the design space by its own probabilities, without an interval"
 
 
 def candidate_of(learnable: Sequence[str], learns: str) -> str:

@@ -20,7 +20,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.shares import alike, lognormal_interval, percent
 from activefail.space import REACH
 from activefail.verification.confidence_bounds import unseen_outcomes
-from activefail.verification.scores import CurvePoint, error_in_words, fits, last_error, learning_curve
+from activefail.verification.scores import CurvePoint, fits, last_error, learning_curve, verified_in_words
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"
@@ -137,9 +137,7 @@ class Status:
         """Titles and texts of the verified error and of the probability, from fresh simulations or the classifier."""
         lines = []
         if self.error is not None:
-            text, basis = error_in_words(self.error)
-            of = f"of the design space with {100.0 * self.error['confidence']:g} % confidence"
-            lines = [("error", f"{text} {of}, {basis}")]
+            lines = [("error", verified_in_words(self.error))]
         if self.estimates:
             return [*lines, *(("estimate", self._estimated(outcome, of)) for outcome, of in self.estimates.items())]
         if not len(looks := self.saved.get("stop/looks", ())):

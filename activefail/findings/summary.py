@@ -79,11 +79,11 @@ def where_lost(
     # A rank is uniform, with a variance of 1/12.
     error = np.sqrt((1.0 / lost.sum() + 1.0 / (~lost).sum()) / 12.0)
     if abs(apart[column]) < _TELLING * error:
-        return f"{text}; no single variable shows where; simulator.lost says what that means"
+        return f"{text}; no single variable shows where; simulator.lost of a new campaign says what that means"
     of_lost, of_others = (float(np.median(designs[rows, column])) for rows in (lost, ~lost))
     return (
         f"{text}, most of them at {'low' if apart[column] < 0.0 else 'high'} {visible(names[column])} (median "
-        f"{of_lost:.3g}, of the others {of_others:.3g}); simulator.lost says what that means"
+        f"{of_lost:.3g}, of the others {of_others:.3g}); simulator.lost of a new campaign says what that means"
     )
 
 

@@ -110,17 +110,22 @@ def predictions_frame(
     """
     import pandas as pd
 
-    if outside := int(np.count_nonzero(~campaign.space.contains(X))):
-        warnings.warn(outside_in_words(outside), stacklevel=3)
+    outside = X[~campaign.space.contains(X)]
+    if len(outside):
+        warnings.warn(outside_in_words(campaign.space, len(outside), outside[0]), stacklevel=3)
     values = _predicted_values(campaign, classifier, X)
     columns = _columns(campaign.space, X)
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values, strict=True)), index=index)
 
 
-def outside_in_words(designs: int) -> str:
-    """A warning of predictions outside the design space."""
+def outside_in_words(space: DesignSpace, designs: int, first: Array) -> str:
+    """A warning of predictions outside the design space, with the rule that the first such design, (d,), breaks."""
     lie = "design lies" if designs == 1 else "designs lie"
-    return f"{designs} {lie} outside the design space, where the classifier extrapolates"
+    name, rule, value = space.broken_rule(first) or ("", "", "")
+    return (
+        f"{designs} {lie} outside the design space, where the classifier may extrapolate (the first by {name}: {rule}, "
+        f"got {value})"
+    )
 
 
 def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> list[list[Any]]:
@@ -240,12 +245,12 @@ def predict_table(
     """Write a CSV table of designs with the columns of `predicted_columns` added.
 
     Returns:
-        Number of designs outside the design space, where the classifier extrapolates.
+        Number of designs outside the design space, where the classifier extrapolates. A warning names the rule.
 
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    space, outside = campaign.space, 0
+    space, outside, first = campaign.space, 0, np.empty((0, campaign.space.dimension))
 
     def check(design: Array) -> str | None:
         with np.errstate(all="ignore"):
@@ -257,13 +262,16 @@ def predict_table(
         return f"features: must be finite; those of {space.row(design)} are not"
 
     def predicted(X: Array, advance: Advance) -> list[list[Any]]:
-        nonlocal outside
-        outside += int(np.count_nonzero(~space.contains(X)))
+        nonlocal outside, first
+        outside += int(np.count_nonzero(is_outside := ~space.contains(X)))
+        first = np.concatenate([first, X[is_outside]])[:1]
         columns = _predicted_values(campaign, classifier, X)
         advance(len(X))
         return [list(row) for row in zip(*columns, strict=True)]
 
     _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
+    if outside:
+        warnings.warn(outside_in_words(space, outside, first[0]), stacklevel=3)
     return outside
 
 

@@ -61,7 +61,7 @@ class Observer:
         progress: receives the progress after each batch.
         stage: receives the name of each stage as it begins.
         stop: whether to end the campaign after the current batch.
-        faults: why simulations were abandoned, in order of arrival; the loop empties it first.
+        faults: why simulations gave no result, in order of arrival; the loop empties it first.
     """
 
     progress: Callable[[Progress], None] = lambda _: None

@@ -24,6 +24,7 @@ from activefail.verification.scores import error_in_words, error_of, keep
 from activefail.verification.stored_sets import looks_before, set_name
 
 if TYPE_CHECKING:
+    from activefail.surrogate.saved import SavedClassifier
     from activefail.verification.probability_estimator import Estimator
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
@@ -184,7 +185,7 @@ def estimate_error(
     )
 
 
-def expected_error(campaign: Campaign, classifier: Classifier) -> float:
+def expected_error(campaign: Campaign, classifier: "Classifier | SavedClassifier") -> float:
     """The error that the classifier expects: its mean probability of being wrong about the target boundary."""
     pool = campaign.space.sobol(POOL // 4, np.random.default_rng(0))
     latent = classifier.latents[campaign.severity - 1]

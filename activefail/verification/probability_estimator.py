@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -192,6 +192,7 @@ class Estimator:
         executor: runs those that are not stored yet; None where nothing is simulated.
         classifier: of the iteration.
         iteration: the last one of the record.
+        announce: called with the number of simulations that are about to be made.
     """
 
     campaign: Campaign
@@ -199,6 +200,7 @@ class Estimator:
     executor: Executor | None
     classifier: Classifier
     iteration: int
+    announce: Callable[[int], None] = field(default=lambda _: None, kw_only=True)
 
     @property
     def boundaries(self) -> Boundaries:
@@ -238,7 +240,7 @@ class Estimator:
     def results(self, name: str, twin: str, X: Array, stop: Callable[[], bool] = lambda: False) -> Results | None:
         """Results of the designs of a set, (n, d), kept in the record (see `stored_sets.simulated_results`)."""
         assert self.executor is not None
-        return simulated_results(self.campaign, self.store, self.executor, name, X, stop, twin)
+        return simulated_results(self.campaign, self.store, self.executor, name, X, stop, twin, self.announce)
 
     def stored(
         self, outcome: str, question: Question, confidence: float, checks: bool = False

@@ -147,9 +147,16 @@ def error_in_words(error: Mapping[str, Any]) -> tuple[str, str]:
     """A verified error with its interval, and what it rests on, from its numbers in JSON."""
     simulations, lost = error["simulations"], error["numerical_failures"]
     requested = f" of {simulations + lost}" if lost else ""
-    widened = f" ({lost} gave no result, which widens it unless simulator.lost says what that means)" if lost else ""
+    way_out = "simulator.lost of a new campaign says what that means"
+    widened = f" ({lost} gave no result, which widens it; {way_out})" if lost else ""
     text = f"{percent(error['error'], 2)} ({interval_percent(error['low'], error['high'])})"
     return text, f"{simulations}{requested} fresh simulations{widened}"
+
+
+def verified_in_words(error: Mapping[str, Any]) -> str:
+    """A verified error with its interval, its confidence and what it rests on, from its numbers in JSON."""
+    text, basis = error_in_words(error)
+    return f"{text} of the design space with {100.0 * error['confidence']:g} % confidence, {basis}"
 
 
 def last_error(store: Store) -> Mapping[str, Any] | None:

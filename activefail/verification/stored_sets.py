@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import SimulationError
+from activefail.execution.executor import Executor, run_keeping
+from activefail.record.asked import bits_of
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.execution.executor import Executor
 
 _PART = 500
 """Designs in one part of a set."""
@@ -97,15 +98,17 @@ def stored_set(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None
 def simulated_results(
     campaign: "Campaign",
     store: Store,
-    executor: "Executor",
+    executor: Executor,
     name: str,
     X: Array,
     stop: Callable[[], bool] = lambda: False,
     twin: str = "",
+    announce: Callable[[int], None] = lambda _: None,
 ) -> Results | None:
     """Results of the designs of a set, (n, d); None if stopped.
 
-    Stored parts are read; the others are simulated and stored.
+    Stored parts are read; the others are simulated and stored. What has an outcome when an exception ends a part, such
+    as Ctrl-C, is stored as `<name>-<part>-begun`, from which the part continues.
 
     Args:
         campaign: the campaign of the set.
@@ -115,34 +118,66 @@ def simulated_results(
         X: its designs.
         stop: whether to stop before the next part.
         twin: name of a set that may hold the same designs; its parts are copied instead of simulated.
+        announce: called before the first simulation with the number of designs that will be simulated.
 
     Raises:
         SimulationError: if every simulation of a part fails, which is a fault of the simulator. That part is not
             stored, so that it is simulated again once the simulator is fixed.
     """
-    parts = []
+    found: list[Results | None] = []
     for part, rows in enumerate(_parts(X)):
-        key = f"{name}-{part}"
-        results = _same(store.read_set(key), rows)
-        if results is None:
-            results = _same(store.read_set(f"{twin}-{part}"), rows) if twin else None
-            if results is None and stop():
-                return None
-            results = results or executor.run(campaign.simulator, rows)
-            if (results.outcome == NUMERICAL_FAILURE).all():
-                raise SimulationError(
-                    f"None of the {len(rows)} simulations for {name} gave an outcome. Their results were discarded."
-                    + first_fault_text(results.faults.values())
-                )
-            store.write_set(key, rows, results)
-        parts.append(results)
-    return Results.concatenate(parts)
+        results = _same(store.read_set(f"{name}-{part}"), rows)
+        if results is None and twin and (results := _same(store.read_set(f"{twin}-{part}"), rows)) is not None:
+            store.write_set(f"{name}-{part}", rows, results)
+        found.append(results)
+    missing = [(f"{name}-{part}", rows) for part, rows in enumerate(_parts(X)) if found[part] is None]
+    if missing and not stop():
+        announce(sum(int((_begun(store, key, rows)[1] < 0).sum()) for key, rows in missing))
+    for key, rows in missing:
+        if stop():
+            return None
+        results = _simulated(campaign, store, executor, key, rows)
+        if (results.outcome == NUMERICAL_FAILURE).all():
+            raise SimulationError(
+                f"None of the {len(rows)} simulations for {name} gave an outcome. Their results were discarded."
+                + first_fault_text(results.faults.values())
+            )
+        store.write_set(key, rows, results)
+        found[found.index(None)] = results
+    return Results.concatenate([results for results in found if results is not None])
+
+
+def _begun(store: Store, key: str, X: Array) -> tuple[Results | None, NDArray[np.intp]]:
+    """What an interruption left of a part, and the place of each design's result there, (n,); -1 if it has none."""
+    if (kept := store.read_set(f"{key}-begun")) is None:
+        return None, np.full(len(X), -1)
+    places: dict[bytes, list[int]] = {}
+    for place, design in enumerate(bits_of(kept[0])):
+        places.setdefault(design, []).append(place)
+    # Equal designs may differ in their results.
+    return kept[1], np.array([places[design].pop() if places.get(design) else -1 for design in bits_of(X)])
+
+
+def _simulated(campaign: "Campaign", store: Store, executor: Executor, key: str, X: Array) -> Results:
+    """Results of the designs of a part, (n, d), of which an interruption may have left some."""
+    kept, place = _begun(store, key, X)
+    left = place < 0
+
+    def keep(designs: Array, results: Results) -> None:
+        if kept is not None:
+            designs, results = np.concatenate([X[~left], designs]), Results.concatenate([kept[place[~left]], results])
+        store.write_set(f"{key}-begun", designs, results)
+
+    fresh = run_keeping(executor, campaign.simulator, X[left], keep)
+    if kept is None:
+        return fresh
+    return Results.concatenate([kept, fresh])[np.where(left, len(kept) + np.cumsum(left) - 1, place)]
 
 
 def simulated_set(
     campaign: "Campaign",
     store: Store,
-    executor: "Executor",
+    executor: Executor,
     name: str,
     X: Array,
     stop: Callable[[], bool] = lambda: False,
@@ -154,7 +189,7 @@ def simulated_set(
 
 def first_fault_text(faults: Iterable[str]) -> str:
     """A sentence for the end of a message that quotes the first fault; empty if there is none."""
-    return next((f" Why the first abandoned simulation failed: {fault}" for fault in faults), "")
+    return next((f" Why the first simulation failed: {fault}" for fault in faults), "")
 
 
 def _parts(X: Array) -> list[Array]:

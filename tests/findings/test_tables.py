@@ -195,7 +195,7 @@ def test_a_prediction_does_not_depend_on_the_rows_beside_it(ran: Run, tmp_path: 
 def test_designs_outside_the_space_are_predicted_and_counted(ran: Run, tmp_path: Path) -> None:
     X = np.vstack([ran.campaign.space.low, ran.campaign.space.high, [[-2.1, 20.0], [0.0, 51.0], [1e308, -1e308]]])
     source = save(tmp_path / "in.csv", X, ("x", "y"))
-    with one_thread():
+    with one_thread(), pytest.warns(UserWarning, match=r"3 designs .* \(the first by x: `-2 <= x"):
         assert predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv") == 3
     answers = numbers(written(tmp_path / "out.csv")[1], slice(3, None))
     assert np.isfinite(answers).all()

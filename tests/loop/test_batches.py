@@ -271,7 +271,7 @@ def test_a_simulator_that_raises_stops_the_campaign_with_what_it_raised_and_wher
         take(campaign, store)
     first = initial_designs(campaign)[0].tolist()
     fault = f"design {first}: ZeroDivisionError: the stiffness vanished ({__file__}:"
-    assert f"Why the first abandoned simulation failed: {fault}" in str(stopped.value)
+    assert f"Why the first simulation failed: {fault}" in str(stopped.value)
     assert {cause_name(Disc.causes, int(c)) for one in store.batches for c in one.results.cause} == {"raised"}
 
 
@@ -319,10 +319,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
         assert f"None of the {done} simulations gave an outcome" in message
         assert "The first failed with cause `raised`." in message
         assert "`activefail resume DIR` continues" in message
-        assert (
-            f"Why the first abandoned simulation failed: design {first}: ZeroDivisionError: the stiffness vanished"
-            in message
-        )
+        assert f"Why the first simulation failed: design {first}: ZeroDivisionError: the stiffness vanished" in message
         assert standing(broken, History.of(store.batches), 48).numerical_failures == done
     # Its failures are no reason to stop by their share: they were those of another simulator.
     take(mended, store)

@@ -172,9 +172,11 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
     assert values == numbers["bearing"] == {"capacity": values["capacity"], "friction": 1.0}
     assert (numbers["target"], numbers["confidence"], numbers["status"]) == (0.1, 0.95, "verified")
     page = (out / "design.html").read_text()
-    assert "The design meets its target" in page
+    assert "The design meets its target with 95 % confidence" in page
     assert f"<b>capacity\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{values['capacity']:.4g}" in page
     assert f"<b>{percent(numbers['probability'], 2)}</b>" in page
+    assert "may verify a smaller one" not in page
+    assert numbers["probability"] > 0.075
     options = ("--code", folder, "--question", folder / "site.toml", "--fixed", out / "design.toml")
     again = activefail("probability", folder / "run", *options, "--simulations", 350, "--json")
     assert again.code == 0, again.err

@@ -1178,7 +1178,7 @@ def test_what_a_simulation_raised_costs_it_alone_and_is_told_of_a_campaign_that_
     rows = record(tmp_path / "run")
     assert all(row["cause"] == ("raised" if float(row["drift"]) > 3.8 else "") for row in rows)
     assert "raised" in {row["cause"] for row in rows}
-    assert "warning: simulations were abandoned; the first failed with: design" in result.err
+    assert "warning: simulations failed and gave no result; the first one: design" in result.err
     assert "Error: diverged" in result.err
 
 

@@ -73,9 +73,9 @@ def test_designs_without_an_answer_may_all_be_wrong_or_none():
     beyond = np.where(answered, False, True)
     error = estimate_error(plan, beyond, answered, 0.9)
     assert (error.simulations, error.misclassified, error.requested) == (25, 0, 50)
-    assert (
-        error.in_words[1]
-        == "25 of 50 fresh simulations (25 gave no result, which widens it unless simulator.lost says what that means)"
+    assert error.in_words[1] == (
+        "25 of 50 fresh simulations (25 gave no result, which widens it; simulator.lost of a new campaign says what "
+        "that means)"
     )
     assert error.error == 0.0
     assert error.low == 0.0
@@ -106,6 +106,32 @@ def test_verifying_again_simulates_nothing_and_says_the_same():
         repeated = verify(Estimator(campaign, store, executor, classifier, 2), 60, 0.9)
     assert counting.rows - before == 60
     assert (first.low, first.high, first.misclassified) == (repeated.low, repeated.high, repeated.misclassified)
+
+
+class Interrupted:
+    """An executor that is interrupted once all but the last 20 designs have results."""
+
+    def run(self, simulator, X, arrived=None):
+        arrived(0, simulator.run(X[:-20]))
+        raise KeyboardInterrupt
+
+
+def test_a_verification_that_was_interrupted_simulates_what_it_lacks_and_says_how_many():
+    counting = Counting()
+    campaign, store, classifier = learned(simulator=counting)
+    before, announced = counting.rows, []
+    estimators = [
+        Estimator(campaign, store, one, classifier, 2, announce=announced.append)
+        for one in (Interrupted(), ThreadExecutor(2))
+    ]
+    with one_thread(), pytest.raises(KeyboardInterrupt):
+        verify(estimators[0], 60, 0.9)
+    with estimators[1].executor, one_thread():
+        interrupted = verify(estimators[1], 60, 0.9)
+    assert (announced, counting.rows - before) == ([60, 20], 60)
+    campaign, store, classifier = learned(simulator=Counting())
+    with ThreadExecutor(2) as executor, one_thread():
+        assert verify(Estimator(campaign, store, executor, classifier, 2), 60, 0.9).as_json() == interrupted.as_json()
 
 
 class Pockets(Disc):

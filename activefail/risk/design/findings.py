@@ -21,6 +21,9 @@ from activefail.simulators.bearing import limits_of, terms_of
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
 
+_FAR = 0.75
+"""Share of its target below which a verified probability leaves room for a smaller design."""
+
 OUT_OF_REACH = 3
 """Exit code if no design was shown to meet its targets."""
 
@@ -217,7 +220,8 @@ class DesignFindings:
         match designed.status:
             case "verified":
                 return (
-                    f"The design meets its target: the upper bound from fresh simulations lies below it. {self._ending}"
+                    f"The design meets its target with {100.0 * designed.task.confidence:g} % confidence: the upper "
+                    f"bound from fresh simulations lies below it. {self._ending}"
                 )
             case "not verified" if designed.result.surprising:
                 return (
@@ -252,12 +256,18 @@ class DesignFindings:
         designed, task = self.designed, self.designed.task
         cost = task.cost(designed.values)
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
+        parts = zip(designed.result.estimates, task.requirements, strict=True)
+        is_far = max(estimate.probability / one.target for estimate, one in parts) < _FAR
+        more = (
+            f" The probability is far below the target: --simulations {2 * task.simulations} may verify a {kind} one."
+        )
+        more *= is_far and designed.at_limit.get(task.free[0]) != "lower"
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
-                return f"A {kind} one, {self.in_words(look.candidate.values)}, was looked at and not verified."
+                return f"A {kind} one, {self.in_words(look.candidate.values)}, was looked at and not verified.{more}"
         if len(designed.looks) < len(LOOKS):
-            return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
-        return f"No look is left for a {kind} one."
+            return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %.{more}"
+        return f"No look is left for a {kind} one.{more}"
 
     def in_words(self, values: Mapping[str, float], with_units: bool = False) -> str:
         """Values of variables, as text."""
@@ -360,7 +370,8 @@ class DesignFindings:
             bounds = bounds_percent(estimate.low, estimate.high)
             text = (
                 f"{event} = {percent(estimate.probability, 2)}, {bounds}, each bound with "
-                f"{100.0 * result.of_bound:.3g} % confidence; target {100.0 * one.target:.4g} %; classifier "
+                f"{100.0 * result.of_bound:.3g} % confidence, so that both looks together have "
+                f"{100.0 * task.confidence:g} %; target {100.0 * one.target:.4g} %; classifier "
                 f"{percent(model, 2)}"
             )
             rows.append((title, text))
@@ -377,8 +388,7 @@ class DesignFindings:
         failures = f", {failed} are numerical failures" if failed else ""
         text = (
             f"{designed.simulations} fresh simulations, contradictions: {contradicted}{failures}; "
-            f"{len(designed.looks)} of at most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the "
-            "result"
+            f"{len(designed.looks)} of at most {len(LOOKS)} looks"
         )
         rows.append(("from", text))
         if task.cost_text != first:
@@ -390,7 +400,7 @@ class DesignFindings:
                 f"{'out of range' if math.isnan(value) else self.in_words({first: value}).removeprefix(f'{first} = ')}"
                 for confidence, value in self.costs.items()
             )
-            rows.append(("confidence", f"{first} at another confidence, approximately: {shown}"))
+            rows.append(("confidence", f"{first} at another confidence, approximately and not verified: {shown}"))
         if self.terms is not None:
             rows += self.terms.lines(f", {self.friction}")
         elif (force := self.lateral_force) is not None:
