@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from activefail.figures.axes import legend_outside, outcome_handles, own_axes, panel, scatter_outcomes
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, SKY_BLUE, VERMILION, styled
-from activefail.findings.failure import FailureFindings
+from activefail.findings.failure import RARE, FailureFindings
 from activefail.findings.quantities import Quantity, plain
 from activefail.findings.results import Findings
 from activefail.reliability.design_point import DesignPoint
@@ -68,7 +68,7 @@ def draw_probability(axes: Axes | None, failure: FailureFindings, beyond: str) -
         lengths = np.maximum([[estimate.probability - low], [estimate.high - estimate.probability]], 0.0)
         label = f"{estimate.simulations} fresh simulations, {100.0 * estimate.confidence:g} % interval"
         axes.errorbar([n[-1]], [estimate.probability], lengths, color=VERMILION, marker="D", capsize=4, label=label)
-    if failure.is_rare:
+    if failure.best < RARE:
         axes.set_yscale("log")
         if positive.any():
             # An interval that spans many decades before the first failures must not flatten the rest.
