@@ -49,6 +49,10 @@ class SimulationError(ActivefailError):
     """The simulations failed: too many numerical failures, or workers that cannot run."""
 
 
+class TableWarning(UserWarning):
+    """A table is probably wrong, or partly outside the design space."""
+
+
 @contextmanager
 def naming(place: str) -> Iterator[None]:
     """Begin the text of an InputError with its place, such as "site.toml: " or "question."."""

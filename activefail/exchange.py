@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from activefail.arguments import check_whole, table_of
-from activefail.errors import InputError
+from activefail.errors import InputError, TableWarning
 from activefail.surrogate.threads import one_thread
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def _record(
     def warn() -> None:
         # Before the commit, because warnings may be raised as errors. Attributed to the caller of `tell` or `add`.
         for text in (*results.warnings(run.campaign), *more):
-            warnings.warn(text, stacklevel=5)
+            warnings.warn(text, TableWarning, stacklevel=5)
 
     try:
         simulated = {"simulated": results.designs} if changed else {}

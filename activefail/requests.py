@@ -691,15 +691,16 @@ def estimating(
     run._check_initial_design()
     with nullcontext(executor) if executor or not simulates else run._shown_executor() as pool, one_thread():
         learned, last = run.learn(stage), run.history.last_iteration
-        workers = getattr(pool, "workers", 1)
+        workers, kept = getattr(pool, "workers", 1), list[str]()
 
         def announce(simulations: int) -> None:
+            kept[:] = ["simulations are kept; the same command continues"]
             stage(f"simulating {counted(simulations, 'fresh design')}{run._duration_of(simulations, workers)}")
 
         try:
             yield Estimator(run.campaign, run.store, pool, learned.classifier, last, announce=announce)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt("simulations are kept; the same command continues") from None
+            raise KeyboardInterrupt(*kept) from None
 
 
 @contextmanager

@@ -178,6 +178,14 @@ def test_a_campaign_with_choices_learns_and_answers(folder: Path) -> None:
                 request()
 
 
+def test_more_simulations_are_not_advised_where_the_next_choice_may_miss_the_target(folder: Path) -> None:
+    with open_run(folder / "run", write=True, code=folder) as run:
+        found = run.design(0.9, fixed={"system": "wall"}, free=["soil"], simulations=20)
+    assert (found.designed.status, found.designed.values) == ("verified", {"soil": 0.0})
+    assert found.designed.result.estimates[0].probability < 0.6
+    assert "may verify" not in found.verdict
+
+
 def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
         answers, planes = Answers(run.findings), coordinates(run.findings).planes

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,11 +28,14 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
+from activefail.cli.common import shown_warnings
+from activefail.errors import InputError, TableWarning
 from activefail.execution.local import ThreadExecutor
 from activefail.interrupts import stop_on_signals
 from activefail.loop.progress import Observer
 from activefail.loop.running import run as run_loop
 from activefail.record.run_folder import FolderStore
+from activefail.requests import estimating
 from activefail.shares import percent
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
@@ -461,6 +465,34 @@ def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: P
     assert result.out.endswith(f"written to {tmp_path / 'out.csv'}\n")
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
+
+
+def test_warnings_about_a_table_are_told_though_it_is_refused_and_those_of_other_code_keep_their_place(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail() -> None:
+        warnings.warn("a design lies outside", TableWarning, stacklevel=1)
+        warnings.warn("divided by zero", UserWarning, stacklevel=1)
+        raise InputError("refused")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        warnings.showwarning = lambda *one: print(warnings.formatwarning(*one), file=sys.stderr)
+        with pytest.raises(InputError), shown_warnings():
+            fail()
+    own, other, *_ = capsys.readouterr().err.splitlines()
+    assert own == "warning: a design lies outside"
+    assert re.fullmatch(rf"{re.escape(__file__)}:\d+: UserWarning: divided by zero", other)
+
+
+def test_a_ctrl_c_says_that_simulations_are_kept_only_once_there_are_any(folder: Path) -> None:
+    with open_run(folder) as run:
+        for simulations, said in ((), ()), ((5,), ("simulations are kept; the same command continues",)):
+            with pytest.raises(KeyboardInterrupt) as stopped, estimating(run) as estimator:
+                for number in simulations:
+                    estimator.announce(number)
+                raise KeyboardInterrupt
+            assert stopped.value.args == said
 
 
 def test_predictions_do_not_need_what_was_saved_of_the_learning(folder: Path, tmp_path: Path) -> None:

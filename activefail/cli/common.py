@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from activefail.display import is_quiet, is_verbose
-from activefail.errors import InputError
+from activefail.errors import InputError, TableWarning
 from activefail.json_text import json_text
 from activefail.record.layout import check_output
 from activefail.screen import table_stream
@@ -161,8 +161,15 @@ def show_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def shown_warnings() -> Iterator[None]:
-    """Print Python's warnings as those of the command line."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        yield
-    show_warnings(str(one.message) for one in caught)
+    """Print warnings about tables as those of the command line at the end of a block, and others as Python does."""
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", TableWarning)
+            yield
+    finally:
+        for one in caught:
+            if issubclass(one.category, TableWarning):
+                show_warnings([str(one.message)])
+            else:
+                warnings.showwarning(one.message, one.category, one.filename, one.lineno)

@@ -91,10 +91,13 @@ def known_in_words(
     counts = history.counts(len(campaign.simulator.outcomes)).tolist()
     seen = ", ".join(f"{n} {name}" for n, name in zip(counts, campaign.simulator.outcomes, strict=True))
     text = f"learned from {counted(sum(counts), 'result')} ({visible(seen)})"
-    if not campaign.settings.is_repeatable:
+    settings = campaign.settings
+    if not settings.is_repeatable:
         return text
     if error is not None:
         return f"{text}; verified error {verified_in_words(error)}"
+    if settings.probability_rule is not None or not all(counts):
+        return text  # The classifier's own error is tiny where an outcome is rare, and misses what was never seen.
     expected = percent(expected_error(campaign, classifier), 2)
     return f"{text}; expected error {expected} of the design space by its own probabilities, without an interval"
 

@@ -14,7 +14,7 @@ from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, T
 from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import Check, DesignTable, Source, Table, Target, rereadable, writing
-from activefail.errors import InputError
+from activefail.errors import InputError, TableWarning
 from activefail.files import replacing, target_of, writing_to
 from activefail.loop.history import History
 from activefail.record.asked import Asked
@@ -112,7 +112,7 @@ def predictions_frame(
 
     outside = X[~campaign.space.contains(X)]
     if len(outside):
-        warnings.warn(outside_in_words(campaign.space, len(outside), outside[0]), stacklevel=3)
+        warnings.warn(outside_in_words(campaign.space, len(outside), outside[0]), TableWarning, stacklevel=3)
     values = _predicted_values(campaign, classifier, X)
     columns = _columns(campaign.space, X)
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values, strict=True)), index=index)
@@ -271,7 +271,7 @@ def predict_table(
 
     _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
     if outside:
-        warnings.warn(outside_in_words(space, outside, first[0]), stacklevel=3)
+        warnings.warn(outside_in_words(space, outside, first[0]), TableWarning, stacklevel=3)
     return outside
 
 

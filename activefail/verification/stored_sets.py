@@ -108,7 +108,7 @@ def simulated_results(
     """Results of the designs of a set, (n, d); None if stopped.
 
     Stored parts are read; the others are simulated and stored. What has an outcome when an exception ends a part, such
-    as Ctrl-C, is stored as `<name>-<part>-begun`, from which the part continues.
+    as Ctrl-C, is stored as `begun-<name>-<part>`, from which the part continues.
 
     Args:
         campaign: the campaign of the set.
@@ -149,7 +149,7 @@ def simulated_results(
 
 def _begun(store: Store, key: str, X: Array) -> tuple[Results | None, NDArray[np.intp]]:
     """What an interruption left of a part, and the place of each design's result there, (n,); -1 if it has none."""
-    if (kept := store.read_set(f"{key}-begun")) is None:
+    if (kept := store.read_set(f"begun-{key}")) is None:
         return None, np.full(len(X), -1)
     places: dict[bytes, list[int]] = {}
     for place, design in enumerate(bits_of(kept[0])):
@@ -166,7 +166,7 @@ def _simulated(campaign: "Campaign", store: Store, executor: Executor, key: str,
     def keep(designs: Array, results: Results) -> None:
         if kept is not None:
             designs, results = np.concatenate([X[~left], designs]), Results.concatenate([kept[place[~left]], results])
-        store.write_set(f"{key}-begun", designs, results)
+        store.write_set(f"begun-{key}", designs, results)
 
     fresh = run_keeping(executor, campaign.simulator, X[left], keep)
     if kept is None:

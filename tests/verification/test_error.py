@@ -15,6 +15,7 @@ from activefail.loop.learning import current
 from activefail.loop.progress import Observer, standing
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
+from activefail.report.evidence import evidence_of
 from activefail.simulators.interface import Results
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import (
@@ -29,6 +30,7 @@ from activefail.verification.error import (
     verify_by_rule,
 )
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import error_of, last_error
 from activefail.verification.stored_sets import looks_before
 
 
@@ -108,6 +110,9 @@ def test_verifying_again_simulates_nothing_and_says_the_same():
     assert (first.low, first.high, first.misclassified) == (repeated.low, repeated.high, repeated.misclassified)
 
 
+NUMBERS = {"error": 0.1, "low": 0.0, "high": 0.2, "confidence": 0.9}
+
+
 class Interrupted:
     """An executor that is interrupted once all but the last 20 designs have results."""
 
@@ -126,6 +131,10 @@ def test_a_verification_that_was_interrupted_simulates_what_it_lacks_and_says_ho
     ]
     with one_thread(), pytest.raises(KeyboardInterrupt):
         verify(estimators[0], 60, 0.9)
+    # What an interruption left is no evidence of an error that was once verified.
+    store.remember(error_of(store.digest), {**NUMBERS, "simulations": 60, "numerical_failures": 0})
+    assert last_error(store) is not None
+    assert evidence_of(campaign, store, classifier).error is None
     with estimators[1].executor, one_thread():
         interrupted = verify(estimators[1], 60, 0.9)
     assert (announced, counting.rows - before) == ([60, 20], 60)

@@ -261,7 +261,8 @@ class DesignFindings:
         more = (
             f" The probability is far below the target: --simulations {2 * task.simulations} may verify a {kind} one."
         )
-        more *= is_far and designed.at_limit.get(task.free[0]) != "lower"
+        # Between steps or choices, the next one that is cheaper may already miss the target.
+        more *= is_far and task.free[0] not in task.stepped and designed.at_limit.get(task.free[0]) != "lower"
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
                 return f"A {kind} one, {self.in_words(look.candidate.values)}, was looked at and not verified.{more}"
