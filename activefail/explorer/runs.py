@@ -198,6 +198,7 @@ def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
         "counts": outcomes_in_words(counts, map(words, summary.outcomes))[: None if counts[-1] else -1],
         "can_open": bool(summary.counts[:-1].any()),
         "answer": _answer(status),
+        "refused": settings.refused.get("verify", ""),
         "curve": _curve(status, most),
         "no_curve": "none yet" if has_curve else "none: needs validation.size or stop.probability",
     }

@@ -223,10 +223,9 @@ def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
         lengths = np.maximum([middle - low, high - middle], 0.0)
         axes.errorbar(x, middle, lengths, color=colour, marker=marker, linestyle="", capsize=4)
         axes.axhline(100.0 * one.target, color=colour, linestyle="--", label=text)
-    names = [f"look {number}, {findings.in_words(look.candidate.values)}" for number, look in enumerate(looks, 1)]
-    axes.set_xticks(range(len(looks)), [plain(name).replace(", ", "\n") for name in names])
+    axes.set_xticks(range(len(looks)), [f"look {number}" for number in range(1, len(looks) + 1)])
     axes.set(xlim=(-0.6, len(looks) - 0.4), ylabel="probability from fresh simulations [%]")
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
     legend_outside(figure)
     return figure
 
@@ -258,7 +257,14 @@ def plot_stripes(findings: FragilityByStripes) -> Figure:
     """The share of values that have failed at each level, the stripes with their intervals, and the lognormal curve."""
     figure, axes = panel(*_SIZE)
     ladder, weight = findings.ladder, findings.stripes[0].values.weight
-    axes.step(ladder.levels, findings.beyond @ weight, where="post", color=BLACK, linewidth=1.2, label="by classifier")
+    axes.step(
+        ladder.levels,
+        findings.beyond @ weight,
+        where="post",
+        color=BLACK,
+        linewidth=1.2,
+        label="by simulations, else classifier",
+    )
     for name, colour, width, intervals in (
         ("others", GREY, 1.0, [one.others or (np.nan, np.nan) for one in findings.found]),
         ("these", BLACK, 2.5, [one.these for one in findings.found]),

@@ -100,5 +100,14 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
 
 
 def inlined(figures: Iterable[Figure], name: str, alternative: str) -> Markup:
-    """Figures as one picture, whose parts stand side by side where there is room; see `inline`."""
-    return Markup("").join(inline(one, f"{name}-{number}", alternative) for number, one in enumerate(figures, start=1))
+    """Figures as one picture, whose parts stand side by side where there is room; see `inline`.
+
+    The alternative of each also has its title.
+    """
+    drawn = []
+    for number, one in enumerate(figures, start=1):
+        title = re.sub(r"[${}\\]", "", one.axes[0].get_title("left")).replace("\n", " ")
+        drawn.append(
+            inline(one, f"{name}-{number}", alternative if title in alternative else f"{alternative}: {title}")
+        )
+    return Markup("").join(drawn)

@@ -27,7 +27,7 @@ from activefail.report.environment import markdown_environment, page_environment
 from activefail.risk.design.by_stripes import DesignByStripes
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.fragility.by_stripes import FragilityByStripes
-from activefail.risk.fragility.exports import files_of
+from activefail.risk.fragility.exports import OPENQUAKE, PELICUN, files_of
 from activefail.risk.fragility.findings import (
     CAPACITIES,
     BoundaryFragility,
@@ -74,7 +74,7 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings | FragilityByStripes, campaign: Campaign, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
     if isinstance(findings, FragilityByStripes):
         figures = {"fragility": plot_stripes(findings)}
@@ -82,9 +82,11 @@ def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Pa
         files = {"fragility.json": json_text(findings.as_json()) + "\n"}
         return write_folder(folder, {"fragility.html": page, **files}, figures)
     figures = plot_fragility_findings(findings)
-    shown = curves_shown(findings, figures)
-    page = _page("fragility.html.j2", title=shown["heading"], curves=shown)
-    return write_folder(folder, {"fragility.html": page} | files_of(findings), figures)
+    shown, files = curves_shown(findings, figures), files_of(findings)
+    programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
+    refused = campaign.settings.refused.get("verify", "")
+    page = _page("fragility.html.j2", title=shown["heading"], curves=shown, programs=programs, refused=refused)
+    return write_folder(folder, {"fragility.html": page} | files, figures)
 
 
 def _page(template: str, **values: Any) -> str:
@@ -106,15 +108,17 @@ def _of_fit(fit: LognormalFit | None, event: str, unit: str, over: str) -> list[
     ):
         interval = "(no interval)"
         if ends:
-            interval = f"({ends[0]:.3g} to {ends[1]:.3g}{of} with {100.0 * CONFIDENCE:g} % confidence, over {over})"
-        cards.append((what, f"{value:.3g}{of}", interval))
+            low, high = map(significant, ends)
+            interval = f"({low} to {high}{of} with {100.0 * CONFIDENCE:g} % confidence, over {over})"
+        cards.append((what, f"{significant(value)}{of}", interval))
     return cards
 
 
 def render_stripes(findings: FragilityByStripes, figures: "Mapping[str, Figure]") -> str:
-    """The page of a curve by stripes; without a lognormal curve, the stripe nearest to one half is in its box."""
+    """The page of a curve by stripes; without a median, the stripe nearest to one half is in its box."""
     unit = f" {findings.ladder.unit}" if findings.ladder.unit else ""
-    cards, title = _of_fit(findings.fit, findings.event, unit, "groups"), _sentence(findings.heading)
+    fit, title = None if findings.why_no_median else findings.fit, _sentence(findings.heading)
+    cards = _of_fit(fit, findings.event, unit, "groups")
     if not cards:
         near = min(range(len(findings.stripes)), key=lambda place: abs(findings.stripes[place].probability - 0.5))
         one = findings.found[near]
@@ -134,20 +138,25 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
     """The texts of the curves and the pictures, for the template `curves.html.j2`."""
     title, boundaries = _sentence(heading(findings)), findings.boundaries[::-1]
     verified = [one for one in boundaries if one.verified]
+    leading = (verified or boundaries)[0]
+    median, interval = leading.capacity(0.5)
     names, capacities, unknown = [or_worse(one.outcome, findings.outcomes) for one in boundaries], [], list[str]()
     for name, one in zip(names, boundaries, strict=True):
         rows = []
         for p in CAPACITIES:
             of, interval = one.capacity(p)
-            texts = ["–" if level is None else significant(level) for level in (of.level, interval.verified)]
-            rows.append((f"{100.0 * p:g} %", *texts, ends_in_words(interval) or "–"))
+            ends = ends_in_words(interval)
+            levels = of.level, interval.verified if ends else None
+            texts = ["–" if level is None else significant(level) for level in levels]
+            rows.append((f"{100.0 * p:g} %", *texts, ends or "–"))
             if reason := of.reason or (interval.interval_reason if one.verified else ""):
                 unknown.append(f"{_sentence(name)}, {rows[-1][0]}: {reason}.")
         capacities.append((name, rows))
     return {
         "heading": title,
         "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
-        "cards": _of_curve(findings, (verified or boundaries)[0]),
+        "cards": _of_curve(findings, leading),
+        "lacks_interval": median.level is not None and None in (interval.low, interval.high),
         "given": findings.given,
         "pictures": inlined(figures.values(), "curves", title),
         "capacities": capacities,
@@ -168,11 +177,12 @@ def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]
     """The median capacity of a boundary, and its risk or its probability under the hazard, if there is one."""
     event, unit, alone = or_worse(one.outcome, findings.outcomes), unit_of(findings), "by the classifier, no interval"
     of, interval = one.capacity(0.5)
-    level = of.level if interval.verified is None else interval.verified
-    why = of.reason or alone
+    level, why = of.level, of.reason or alone
     if ends := ends_in_words(interval):
+        by = "by the classifier " if interval.verified is None else ""
+        level = level if by else interval.verified
         other = ", the other end is unknown" if None in (interval.low, interval.high) else ""
-        why = f"({ends}{unit} with {100.0 * findings.confidence:g} % confidence{other})"
+        why = f"{by}({ends}{unit} with {100.0 * findings.confidence:g} % confidence{other})"
     cards = [(f"median capacity for {event}", "none" if level is None else f"{significant(level)}{unit}", why)]
     if one.risk is not None:
         cards.append((f"risk of {event} in {one.risk.years:g} years", percent(one.risk.probability, 2), alone))

@@ -17,6 +17,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.distributions import moments
 from activefail.errors import InputError
+from activefail.figures.risk import plot_looks
 from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import AllRows
@@ -140,6 +141,26 @@ def test_the_page_has_the_classifiers_probability_of_each_outcome_beside_its_tar
     page, result = render_design(of_two_targets), of_two_targets.designed.result
     for share, estimate in zip(result.candidate.model, result.estimates, strict=True):
         assert f'<td class="n">{percent(share, 2)}</td><td class="n">{estimate.simulations}</td>' in page
+
+
+def test_two_looks_are_numbered_and_the_target_lies_below_the_upper_edge(of_two_targets: DesignFindings) -> None:
+    looks = replace(of_two_targets.designed, looks=2 * of_two_targets.designed.looks[:1])
+    axes = plot_looks(replace(of_two_targets, designed=looks), ["damage", "failure"]).axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["look 1", "look 2"]
+    assert axes.get_ylim()[1] > 1.05 * 100.0 * 0.1
+
+
+def test_the_page_names_what_continues_with_the_design(of_two_targets: DesignFindings) -> None:
+    page = render_design(of_two_targets)
+    assert "<code>design.toml</code> gives this design to the <code>--fixed</code> of other commands" in page
+    assert "activefail fragility" not in page
+    unreachable = replace(of_two_targets.designed, status="out of reach")
+    assert "<dd>a wider range of capacity, or other values" in render_design(
+        replace(of_two_targets, designed=unreachable)
+    )
+    liner = Parameter.of_choices("capacity", ("A", "B"))
+    catalogue = replace(unreachable, task=replace(unreachable.task, stepped={"capacity": liner}))
+    assert "<dd>other choices of capacity, or" in render_design(replace(of_two_targets, designed=catalogue))
 
 
 def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:

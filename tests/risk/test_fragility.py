@@ -3,8 +3,10 @@
 import csv
 import json
 import math
+import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,10 +19,13 @@ from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION, velocity_of
 from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
 from activefail.campaign.question import Question
-from activefail.campaign.settings import parse_settings
+from activefail.campaign.settings import IF_CALLED, parse_settings
 from activefail.opening import open_run
+from activefail.report.analyses import curves_shown, write_fragility
+from activefail.risk.fragility.band import Interval
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import FragilityFindings
+from activefail.shares import significant
 from activefail.space import Array
 
 MEDIAN, BETA = 1.2, 0.3
@@ -307,8 +312,45 @@ def test_a_curve_against_any_variable_integrates_over_the_others(ended: Path, tm
     assert level == pytest.approx(0.3 * math.exp(-0.8 * ndtri(0.1)) / median, rel=0.05)
 
 
+def test_a_campaign_that_cannot_verify_its_curve_is_not_told_to(uncertain: FragilityFindings, tmp_path: Path) -> None:
+    campaign = SimpleNamespace(settings=SimpleNamespace(refused={"verify": IF_CALLED}))
+    write_fragility(uncertain, campaign, tmp_path)  # type: ignore[arg-type]
+    page = (tmp_path / "fragility.html").read_text()
+    assert "<code>--verify</code> requires a simulator that activefail can call" in page
+    assert "--verify 250" not in page
+    labels = re.findall(r'<svg role="img" aria-label="([^"]*)"', page)
+    assert len(set(labels)) == len(labels) == 2
+    assert labels[1].endswith(": Pulses that cause failure under the hazard")
+
+
+@pytest.mark.parametrize(
+    ("verified", "low", "card", "cells"),
+    [
+        (1.3, None, "by the classifier, no interval", ("–", "–")),
+        (1.3, 1.1, "(from 1.10 m/s with 95 % confidence, the other end is unknown)", ("1.30", "from 1.10")),
+        (None, 1.1, "by the classifier (from 1.10 m/s with 95 % confidence, the other end is unknown)",
+         ("–", "from 1.10")),
+    ],
+)  # fmt: skip
+def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
+    uncertain: FragilityFindings, monkeypatch: pytest.MonkeyPatch, verified: float | None, low: float | None, card: str,
+    cells: tuple[str, str],
+) -> None:  # fmt: skip
+    interval = Interval(verified, low, None, 0.95, "the levels end")
+    monkeypatch.setattr("activefail.risk.fragility.findings.capacity_interval", lambda *_: interval)
+    shown = curves_shown(uncertain, {})
+    level = uncertain.boundaries[-1].curve.capacity(0.5).level
+    assert level is not None
+    assert shown["cards"][0][1:] == (f"{significant(verified if verified and low else level)} m/s", card)
+    assert shown["capacities"][0][1][2] == ("50 %", significant(level), *cells)
+    assert ("1.30 after correction" in " ".join(uncertain.lines)) == bool(verified and low)
+    assert shown["lacks_interval"]
+
+
 @pytest.mark.usefixtures("without_pictures")
-def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: Path) -> None:
+def test_the_command_shows_a_curve_against_any_variable(
+    ended: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = ("fragility", ended / "run", "--code", ended, "--against", "r", "--range", "0.5,2")
     result = activefail(*command, "--out", tmp_path)
     assert result.code == 0, result.err
@@ -316,6 +358,15 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
     assert "The curve is integrated over T_p, A_p." in result.out
     assert "intervals  none: every number is the classifier's" in result.out
     assert not (tmp_path / "pelicun.csv").exists()
+    page = (tmp_path / "fragility.html").read_text()
+    assert "<code>--verify 250</code> gives intervals" in page
+    interval = Interval(1.0, 0.9, 1.1, 0.95, None)
+    monkeypatch.setattr("activefail.risk.fragility.findings.capacity_interval", lambda *_: interval)
+    verified = activefail(*command, "--verify", "20", "--out", tmp_path / "verified")
+    assert verified.code == 0, verified.err
+    page = (tmp_path / "verified" / "fragility.html").read_text()
+    assert "<code>activefail design</code> finds a design" in page
+    assert "pelicun" not in page
     table = activefail(*command, "--csv", "-")
     assert table.out.startswith("r,kind,outside_design_space,p_damage,")
     verified = activefail(*command, "--verify", "20", "--json", "--outcome", "damage")

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from activefail.requests import ProbabilityRequest
 from activefail.risk.design.by_stripes import design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
 from activefail.risk.ida.collapse import fit_lognormal
+from activefail.shares import significant
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array, DesignSpace
 from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
@@ -547,14 +549,32 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2
     assert json.loads((tmp_path / "out" / "fragility.json").read_text())["levels"] == numbers["levels"]
     page = (tmp_path / "out" / "fragility.html").read_text()
-    assert f"<b>{numbers['lognormal']['median']:.3g}</b> ({low:.3g} to {high:.3g} with 95 % confidence" in page
+    interval = f"{significant(low)} to {significant(high)} with 95 % confidence"
+    assert f"<b>{significant(numbers['lognormal']['median'])}</b> ({interval}" in page
     assert "<svg" in page
     table = activefail(*words, "--range", "0.8,3.8", "--csv", "-")
     assert table.out.splitlines()[0] == "x,probability,low,high,others_low,others_high,simulated,predicted"
     assert len(table.out.splitlines()) == 1 + len(numbers["levels"])
     again = activefail(*words, "--range", "0.8,3.8")
-    assert again.out.splitlines()[0] == "probability of failure against x at y = 1.0"
-    assert any(line.startswith("median") for line in again.out.splitlines())
+    assert again.out.splitlines()[0] == "probability of failure against x at y = 1"
+    assert re.search(r"\nmedian +\d\.\d\d \(\d\.\d\d to \d\.\d\d, 95 %, over groups\)\n", again.out)
+
+
+@pytest.mark.parametrize(
+    ("levels", "why"),
+    [
+        ("0.5,1.3", "it lies beyond every level, an extrapolation; choose others with --range"),
+        ("0,3.8", "the levels are not all positive; choose others with --range"),
+    ],
+)
+def test_a_median_beyond_the_levels_is_not_led_with(folder: Path, tmp_path: Path, levels: str, why: str) -> None:
+    words = ("fragility", folder / "run", "--code", folder, "--fixed", "y=1", "--against", "x", "--wrong", "0.01")
+    shown = activefail(*words, "--range", levels, "--out", tmp_path)
+    assert shown.code == 0, shown.err
+    assert why in shown.out
+    page = (tmp_path / "fragility.html").read_text()
+    assert f"no median: {why}" in page
+    assert "<span>median capacity" not in page
 
 
 def test_a_curve_by_stripes_has_levels_between_safe_and_failed(folder: Path) -> None:

@@ -16,7 +16,7 @@ from activefail.progress import Stage
 from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS, confidence_of_bound
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.search import WORTH, Designed, costs_of
-from activefail.shares import bounds_percent, percent, values_in_words
+from activefail.shares import bounds_percent, percent, short, values_in_words
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
@@ -185,7 +185,7 @@ class DesignFindings:
                 f"puts those that are {kind}er than this one above the search's goal, and this one below it."
             )
         elif len(candidate.ranges) > 1 or (candidate.ranges and candidate.ranges[0][1] < task.high[task.free[0]]):
-            ranges = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in candidate.ranges)
+            ranges = " and ".join(f"{short(low)} to {short(high)}" for low, high in candidate.ranges)
             sentences.append(
                 f"The classifier's probability meets the search's goal for {task.free[0]} of {ranges}, and exceeds it "
                 f"between and beyond. This design is the {kind}est of these: a larger one may miss the target."

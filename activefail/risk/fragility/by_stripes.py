@@ -14,7 +14,7 @@ from activefail.findings.lines import aligned, titled
 from activefail.json_text import json_values
 from activefail.risk.fragility.curve import Ladder
 from activefail.risk.ida.collapse import CONFIDENCE, Fragility, fit_lognormal, fitted
-from activefail.shares import interval_percent, percent
+from activefail.shares import interval_percent, percent, significant, values_in_words
 from activefail.space import Array
 from activefail.stripes.findings import StripeFindings
 from activefail.stripes.stripe import Stripe, Stripes
@@ -40,6 +40,7 @@ class FragilityByStripes:
         levels: (k,) increasing.
         stripes: (k,) what was found at each.
         found: (k,) the same in numbers and words.
+        given: values of the other variables, in words.
     """
 
     ladder: Ladder
@@ -47,6 +48,7 @@ class FragilityByStripes:
     levels: Array
     stripes: tuple[Stripe, ...]
     found: tuple[StripeFindings, ...]
+    given: str
 
     exit_code = 0
 
@@ -89,10 +91,19 @@ class FragilityByStripes:
         return f"probability of {self.event} against {self.ladder.name}"
 
     @property
-    def given(self) -> str:
-        """Values of the other variables."""
-        fixed = self.found[0].fixed.items()
-        return ", ".join(f"{name} = {value}" for name, value in fixed if name != self.ladder.name)
+    def why_no_median(self) -> str:
+        """Why there is no median between the levels; empty if there is one."""
+        (first, last), weight = self.ladder.levels[[0, -1]].tolist(), self.stripes[0].values.weight
+        if not np.allclose(weight, weight[0]):
+            return "the values are not equally probable"
+        why = ""
+        if not first > 0.0:
+            why = "the levels are not all positive"
+        elif self.fit is None:
+            why = "the levels do not bound it"
+        elif not first <= self.fit.fit.median <= last:
+            why = "it lies beyond every level, an extrapolation"
+        return why and f"{why}; choose others with --range"
 
     @property
     def table(self) -> list[list[str]]:
@@ -110,13 +121,14 @@ class FragilityByStripes:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Titles and texts."""
-        texts = [("lognormal", "none: the levels do not bound it, or the values are not equally probable")]
+        why = self.why_no_median
+        texts = [("lognormal", f"none: {why}")]
         if self.fit is not None:
             unit = f" {self.ladder.unit}" if self.ladder.unit else ""
-            median, dispersion = f"{self.fit.fit.median:.4g}{unit}", f"{self.fit.fit.dispersion:.3g}"
+            median, dispersion = f"{significant(self.fit.fit.median)}{unit}", significant(self.fit.fit.dispersion)
             basis = f"from capacities between {len(self.ladder.levels)} levels; predictions count as right in both"
             texts = [
-                ("median", f"{median}{_ends(self.fit.median)}"),
+                ("median", f"{median}{_ends(self.fit.median)}{why and f'; {why}'}"),
                 ("dispersion", f"{dispersion}{_ends(self.fit.dispersion)}"),
                 ("fit", basis),
             ]
@@ -166,7 +178,7 @@ class FragilityByStripes:
 def _ends(interval: tuple[float, float] | tuple[()]) -> str:
     if not interval:
         return ", without an interval"
-    return f" ({interval[0]:.4g} to {interval[1]:.4g}, {100.0 * CONFIDENCE:g} %, over groups)"
+    return f" ({significant(interval[0])} to {significant(interval[1])}, {100.0 * CONFIDENCE:g} %, over groups)"
 
 
 def fragility_by_stripes(
@@ -210,4 +222,5 @@ def fragility_by_stripes(
     asked = tuple(found[place] for place in range(len(levels)))
     beyond = np.array([stripes.predicted(at(level), outcome).beyond for level in all_levels.tolist()])
     of = tuple(StripeFindings.of(stripes.campaign, one, confidence) for one in asked)
-    return FragilityByStripes(ladder, beyond, levels, asked, of)
+    given = values_in_words(stripes.campaign.space, question.fixed)
+    return FragilityByStripes(ladder, beyond, levels, asked, of, given)

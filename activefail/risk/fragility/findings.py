@@ -295,9 +295,7 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
 
 
 def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
-    if capacity.level is None:
-        return f"none: {capacity.reason}"
-    shown = f"{significant(capacity.level)}{unit}"
+    shown = f"none: {capacity.reason}" if capacity.level is None else f"{significant(capacity.level)}{unit}"
     if not (ends := ends_in_words(interval)):
         return shown
     unknown = f" ({interval.interval_reason})" if interval.interval_reason else ""
