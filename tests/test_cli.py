@@ -22,7 +22,7 @@ from cases import some
 from commandline import CommandResult, activefail, holding, record, refused, sets, started, table, wait_for
 from patience import PATIENCE, Clock, until
 
-from activefail import __version__, display, open_run
+from activefail import Run, __version__, display, open_run
 from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
@@ -477,7 +477,7 @@ def test_warnings_about_a_table_are_told_though_it_is_refused_and_those_of_other
 
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        warnings.showwarning = lambda *one: print(warnings.formatwarning(*one), file=sys.stderr)
+        warnings.showwarning = lambda *one: sys.stderr.write(warnings.formatwarning(*one))
         with pytest.raises(InputError), shown_warnings():
             fail()
     own, other, *_ = capsys.readouterr().err.splitlines()
@@ -486,12 +486,16 @@ def test_warnings_about_a_table_are_told_though_it_is_refused_and_those_of_other
 
 
 def test_a_ctrl_c_says_that_simulations_are_kept_only_once_there_are_any(folder: Path) -> None:
+    def interrupted(run: Run, simulations: tuple[int, ...]) -> None:
+        with estimating(run) as estimator:
+            for number in simulations:
+                estimator.announce(number)
+            raise KeyboardInterrupt
+
     with open_run(folder) as run:
         for simulations, said in ((), ()), ((5,), ("simulations are kept; the same command continues",)):
-            with pytest.raises(KeyboardInterrupt) as stopped, estimating(run) as estimator:
-                for number in simulations:
-                    estimator.announce(number)
-                raise KeyboardInterrupt
+            with pytest.raises(KeyboardInterrupt) as stopped:
+                interrupted(run, simulations)
             assert stopped.value.args == said
 
 

@@ -79,8 +79,8 @@ def write_fragility(findings: FragilityFindings | FragilityByStripes, campaign: 
     if isinstance(findings, FragilityByStripes):
         figures = {"fragility": plot_stripes(findings)}
         page = render_stripes(findings, figures)
-        files = {"fragility.json": json_text(findings.as_json()) + "\n"}
-        return write_folder(folder, {"fragility.html": page, **files}, figures)
+        numbers = json_text(findings.as_json()) + "\n"
+        return write_folder(folder, {"fragility.html": page, "fragility.json": numbers}, figures)
     figures = plot_fragility_findings(findings)
     shown, files = curves_shown(findings, figures), files_of(findings)
     programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
