@@ -14,7 +14,9 @@ _SLOW = ("plot_pairs", "plot_outcome_planes", "plot_snapshots")
 @contextmanager
 def slow_pictures_empty() -> Iterator[None]:
     """Leave those pictures of a campaign empty that take most of a page's time, for a claim about other parts of it."""
+    empty = Figure()
+    empty.subplots()
     with pytest.MonkeyPatch.context() as patch:
         for name in _SLOW:
-            patch.setattr(page, name, lambda *_, name=name: [Figure()] if name == "plot_outcome_planes" else Figure())
+            patch.setattr(page, name, lambda *_, name=name: [empty] if name == "plot_outcome_planes" else empty)
         yield
