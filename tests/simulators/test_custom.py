@@ -830,7 +830,7 @@ def test_a_program_gets_its_cores_and_fewer_run_at_a_time(tmp_path: Path, monkey
     for cpus, workers in ((8, 2), (2, 1)):
         monkeypatch.setattr("os.cpu_count", lambda cpus=cpus: cpus)
         with local_executor(simulator) as executor:
-            assert executor._workers == workers
+            assert executor.workers == workers
 
 
 # --- campaigns ---------------------------------------------------------------------------------------------------
