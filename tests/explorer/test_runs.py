@@ -98,7 +98,6 @@ def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, fol
     assert "a &lt;b&gt; &amp; 100 %" in text
     assert 'href="run/a%20%3Cb%3E%20%26%20100%20%25/"' in text
     assert text.count("<svg") == 1
-    (folder / NAME).rename(folder.parent / "aside")
     ran(folder / "plain", disc())
     assert "<code>activefail verify</code> gives one" in runs.page("/")
     assert run_folders(folder / NAME) == []
