@@ -21,7 +21,7 @@ NAMES = ("asynchronous", "batch", "elsewhere", "margins", "rare", "records")
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 _VARYING = [
-    (re.compile(r"\b\d+(?:\.\d+)? (s|min|MB|ms)\b(?! pulses)"), r"<\1>"),
+    (re.compile(r"\b(?:about |less than )?\d+(?:\.\d+)? (s|min|MB|ms)\b(?! pulses)"), r"<\1>"),
     (re.compile(r"\b[0-9a-f]{40,64}\b"), "<digest>"),
     (re.compile(r"\b20\d\d-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?\S*"), "<time>"),
 ]

@@ -180,6 +180,9 @@ def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_wha
     assert (predicted.code, f"warning: {warning}" in predicted.err) == (0, True)
     known = "classifier learned from 40 results (40 no_impact, 0 impact, 0 failure); verified error 0 %"
     assert predicted.out.startswith(known)
+    words = ("--csv", tmp_path / "designs.csv", "--out", tmp_path / "predicted.csv", "--after", "39")
+    said = activefail("predict", folder, *words).out
+    assert said.startswith("classifier learned from 39 results (39 no_impact, 0 impact, 0 failure)\n")
 
 
 def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_path):
