@@ -276,7 +276,7 @@ class FragilityRequest(Request["FragilityFindings | FragilityByStripes"]):
     def write_pages(self, findings: "FragilityFindings | FragilityByStripes", run: "Run", out: Path) -> list[Path]:
         from activefail.report.analyses import write_fragility
 
-        return write_fragility(findings, run.campaign, out)
+        return write_fragility(findings, out)
 
 
 @dataclass(frozen=True)

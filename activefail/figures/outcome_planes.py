@@ -316,7 +316,8 @@ def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) ->
         shown = shown & (np.abs(F[:, plane.third] - third) <= width)
         exact = "" if width else plain(str(campaign.space.parameters[plane.third].written(third)))
         value = f"{third:.3g} ± {width:.2g}" if width else exact
-        title = f"{symbol}{chr(10) if letters(symbol) > 16 else ' '}= {value}"
+        between = "\n" if letters(symbol) > 16 else " "
+        title = f"{symbol}{between}= {value}"
     others = [column for column in c.choices if column != plane.third]
     alike = np.all(F[:, others] == c.middle[others], axis=1)
     marks = [

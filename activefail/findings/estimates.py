@@ -194,8 +194,8 @@ class ProbabilityFindings:
             ),
             (
                 "classifier",
-                f"{model}, learned from {learned}, without an interval; fresh simulations on the other side "
-                f"than predicted: {estimate.contradictions} of {estimate.simulations}",
+                f"{model}, learned from {learned}, without an interval; contradictions: {estimate.contradictions} of "
+                f"{estimate.simulations} fresh simulations ended on the other side than predicted",
             ),
         ]
         rows += [("mode", " ".join(mode)) for mode in modes_in_words(estimate.modes)]
@@ -284,8 +284,8 @@ class ProbabilityFindings:
             )
         if not self.repeatable:
             sentences.append(
-                "The simulator does not repeat: the probability includes its noise. Results that the noise "
-                "explains are not counted as on the other side."
+                "The simulator does not repeat: the probability includes its noise. Contradictions are results that "
+                "the noise does not explain."
             )
         if self.lost is not None:
             sentences.append(

@@ -121,7 +121,9 @@ def predictions_frame(
 def outside_in_words(space: DesignSpace, designs: int, first: Array) -> str:
     """A warning of predictions outside the design space, with the rule that the first such design, (d,), breaks."""
     lie = "design lies" if designs == 1 else "designs lie"
-    name, rule, value = space.broken_rule(first) or ("", "", "")
+    broken = space.broken_rule(first)
+    assert broken is not None
+    name, rule, value = broken
     return (
         f"{designs} {lie} outside the design space, where the classifier may extrapolate (the first by {name}: {rule}, "
         f"got {value})"

@@ -74,7 +74,7 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(findings: FragilityFindings | FragilityByStripes, campaign: Campaign, folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
     if isinstance(findings, FragilityByStripes):
         figures = {"fragility": plot_stripes(findings)}
@@ -84,8 +84,7 @@ def write_fragility(findings: FragilityFindings | FragilityByStripes, campaign: 
     figures = plot_fragility_findings(findings)
     shown, files = curves_shown(findings, figures), files_of(findings)
     programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
-    refused = campaign.settings.refused.get("verify", "")
-    page = _page("fragility.html.j2", title=shown["heading"], curves=shown, programs=programs, refused=refused)
+    page = _page("fragility.html.j2", title=shown["heading"], curves=shown, programs=programs, refused=findings.refused)
     return write_folder(folder, {"fragility.html": page} | files, figures)
 
 
@@ -139,7 +138,7 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
     title, boundaries = _sentence(heading(findings)), findings.boundaries[::-1]
     verified = [one for one in boundaries if one.verified]
     leading = (verified or boundaries)[0]
-    median, interval = leading.capacity(0.5)
+    median, ends_of_median = leading.capacity(0.5)
     names, capacities, unknown = [or_worse(one.outcome, findings.outcomes) for one in boundaries], [], list[str]()
     for name, one in zip(names, boundaries, strict=True):
         rows = []
@@ -156,7 +155,7 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
         "heading": title,
         "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
         "cards": _of_curve(findings, leading),
-        "lacks_interval": median.level is not None and None in (interval.low, interval.high),
+        "lacks_interval": median.level is not None and None in (ends_of_median.low, ends_of_median.high),
         "given": findings.given,
         "pictures": inlined(figures.values(), "curves", title),
         "capacities": capacities,
@@ -226,7 +225,7 @@ def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | Non
     # A line breaks only between variables.
     design = findings.in_words(designed.values, with_units=True).replace(" ", "\N{NO-BREAK SPACE}")
     design = design.replace(",\N{NO-BREAK SPACE}", ", ")
-    cards = [(f"design, {what}", design, f"{100.0 * task.confidence:g} % confidence for the result")]
+    cards = [(f"design, {what}", design, "")]
     for event, one, of in zip(events, task.requirements, designed.result.estimates, strict=True):
         name, values = f"{event} from fresh simulations", [of.probability, of.low, of.high, one.target]
         if (rate := task.rate) is not None:
@@ -287,8 +286,8 @@ def write_ida(findings: IdaFindings, folder: Path) -> list[Path]:
     cards = cards or [(f"records that reach {findings.event}", str(reached), f"of {len(numbers['records'])}; no curve")]
     if findings.fragility is not None and findings.options is not None:
         ends = tuple(findings.options.shape_factor * end for end in findings.cmr_interval or ())
-        interval = f"({ends[0]:.3g} to {ends[1]:.3g} with {100.0 * CONFIDENCE:g} % confidence)" if ends else ""
-        cards[1:] = [("adjusted collapse margin ratio", f"{findings.acmr:.3g}", interval or "(no interval)")]
+        interval = f"({' to '.join(map(significant, ends))} with {100.0 * CONFIDENCE:g} % confidence)" if ends else ""
+        cards[1:] = [("adjusted collapse margin ratio", significant(findings.acmr), interval or "(no interval)")]
     drawn = inline(figure, "ida", title)
     page = _page("ida.html.j2", title=title, findings=findings, cards=cards, records=numbers["records"], drawn=drawn)
     texts = {"ida.html": page, "ida.json": json_text(numbers) + "\n"}

@@ -5,8 +5,8 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -261,7 +261,7 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
     # A design that is drawn several times is simulated once.
     assert 30 < sum(level["simulations"] for level in failure["verified"]) <= 60
     assert damage["verified"] == []
-    assert damage["capacities"][1]["interval_reason"] == "not verified by simulations; --verify N gives an interval"
+    assert damage["capacities"][1]["interval_reason"] == "not verified by simulations"
     # Two levels are verified; the capacity at one of them has an interval, or the reason why it has not.
     capacity = failure["capacities"][1]
     assert capacity["confidence"] == 0.95
@@ -313,8 +313,9 @@ def test_a_curve_against_any_variable_integrates_over_the_others(ended: Path, tm
 
 
 def test_a_campaign_that_cannot_verify_its_curve_is_not_told_to(uncertain: FragilityFindings, tmp_path: Path) -> None:
-    campaign = SimpleNamespace(settings=SimpleNamespace(refused={"verify": IF_CALLED}))
-    write_fragility(uncertain, campaign, tmp_path)  # type: ignore[arg-type]
+    found = replace(uncertain, refused=IF_CALLED)
+    assert any(line.endswith(f"--verify N {IF_CALLED}") for line in found.lines)
+    write_fragility(found, tmp_path)
     page = (tmp_path / "fragility.html").read_text()
     assert "<code>--verify</code> requires a simulator that activefail can call" in page
     assert "--verify 250" not in page
@@ -345,6 +346,12 @@ def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
     assert shown["capacities"][0][1][2] == ("50 %", significant(level), *cells)
     assert ("1.30 after correction" in " ".join(uncertain.lines)) == bool(verified and low)
     assert shown["lacks_interval"]
+    whole, of_failure = Interval(1.3, 1.1, 1.5, 0.95, None), uncertain.boundaries[-1].curve
+    monkeypatch.setattr(
+        "activefail.risk.fragility.findings.capacity_interval",
+        lambda curve, *_: whole if curve is of_failure else interval,
+    )
+    assert not curves_shown(uncertain, {})["lacks_interval"]
 
 
 @pytest.mark.usefixtures("without_pictures")

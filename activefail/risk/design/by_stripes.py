@@ -12,6 +12,7 @@ from activefail.findings.lines import titled
 from activefail.json_text import json_values
 from activefail.risk.design.design_task import DesignTask
 from activefail.risk.design.findings import OUT_OF_REACH
+from activefail.shares import short
 from activefail.stripes.findings import StripeFindings
 from activefail.stripes.stripe import Stripe, Stripes
 from activefail.visible import visible
@@ -91,14 +92,14 @@ class DesignByStripes:
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
-        known = {name: one if isinstance(one, str) else f"{one:.4g}" for name, one in self.bearing.items()}
+        known = {name: one if isinstance(one, str) else short(one) for name, one in self.bearing.items()}
         rows = [("design", visible(", ".join(f"{name} = {value}" for name, value in known.items())))]
         rows.append(("result", self.verdict))
         targets = [f"{100.0 * one.target:.4g} %" for one in self.task.requirements]
         rows.append(("target", f"{', '.join(targets)}; met by the values themselves, not by the upper ends below"))
         count = len(self.stripes) * len(self.found[0].stripe.values)
         stripes = f"{len(self.stripes)} values of {', '.join(self.task.free)}"
-        rows.append(("from", f"{self.simulations} simulations now at {stripes}, of {count} in all"))
+        rows.append(("from", f"{self.simulations} simulations now at {stripes}; all values would take {count}"))
         return [*titled(rows), *(line for one in self.found for line in one.lines)]
 
     def as_json(self) -> dict[str, Any]:

@@ -46,7 +46,7 @@ class Interval(NamedTuple):
     interval_reason: str | None = None
 
 
-NOT_VERIFIED = "not verified by simulations; --verify N gives an interval"
+NOT_VERIFIED = "not verified by simulations"
 
 
 def levels_to_verify(curve: Curve, simulations: int) -> list[tuple[float, int]]:

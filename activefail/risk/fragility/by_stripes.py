@@ -126,14 +126,14 @@ class FragilityByStripes:
         if self.fit is not None:
             unit = f" {self.ladder.unit}" if self.ladder.unit else ""
             median, dispersion = f"{significant(self.fit.fit.median)}{unit}", significant(self.fit.fit.dispersion)
-            basis = f"from capacities between {len(self.ladder.levels)} levels; predictions count as right in both"
+            basis = f"of capacities between {len(self.ladder.levels)} levels; intervals leave out wrong predictions"
             texts = [
                 ("median", f"{median}{_ends(self.fit.median)}{why and f'; {why}'}"),
                 ("dispersion", f"{dispersion}{_ends(self.fit.dispersion)}"),
                 ("fit", basis),
             ]
         count = len(self.stripes) * len(self.stripes[0].values)
-        return [*texts, ("from", f"{self.simulations} simulations now, of {count} in all")]
+        return [*texts, ("from", f"{self.simulations} simulations now; all values at all levels would take {count}")]
 
     @property
     def lines(self) -> list[str]:

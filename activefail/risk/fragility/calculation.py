@@ -72,6 +72,7 @@ def fragility(
         from_outside=from_outside,
         fixed=campaign.space.written(fixed),
         given=values_in_words(campaign.space, fixed),
+        refused=campaign.settings.refused.get("verify", ""),
         confidence=confidence,
         notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
         outcomes=outcomes,

@@ -27,6 +27,8 @@ NO_RATES = "the hazard has no curve of annual rates"
 _NEAR = 0.05
 """Largest difference of a lognormal curve that is shown beside the curve."""
 
+_GIVES = "gives intervals from fresh simulations"
+
 WITHOUT_INTERVAL = "the classifier's number, without an interval"
 
 
@@ -79,6 +81,7 @@ class FragilityFindings:
         from_outside: (n, boundaries) share of each probability that comes from there.
         fixed: values of variables.
         given: the same in words.
+        refused: why the campaign cannot have fresh simulations, such as "requires a simulator"; empty if it can.
         confidence: of the intervals.
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
@@ -95,6 +98,7 @@ class FragilityFindings:
     from_outside: Array
     fixed: Mapping[str, Choice]
     given: str
+    refused: str
     confidence: float
     notes: tuple[str, ...]
     outcomes: tuple[str, ...]
@@ -121,7 +125,7 @@ class FragilityFindings:
             "intervals  shown where fresh simulations give one; every other number is the classifier's, without an "
             "interval"
             if self.has_verification
-            else "intervals  none: every number is the classifier's; --verify N gives intervals from fresh simulations"
+            else f"intervals  none: every number is the classifier's; --verify N {self.refused or _GIVES}"
         )
         text += titled(("note", sentence) for sentence in self.assumptions)
         return text + ([] if self.terms is None else titled(self.terms.lines()))

@@ -19,6 +19,7 @@ from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import Prediction, PulseComparison
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.simulations import BearingSubject, CampaignSubject
+from activefail.shares import significant
 from activefail.space import Array
 from activefail.visible import or_worse
 
@@ -139,12 +140,13 @@ class IdaFindings:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
             differs = f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records with a"
             rows += [
-                ("median", f"{fit.median:.3g}{unit}{_interval(m)}"),
-                ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
+                ("median", f"{significant(fit.median)}{unit}{_interval(m)}"),
+                ("dispersion", f"{significant(fit.dispersion)}{_interval(d)}"),
                 ("misfit", f"{differs} capacity up to the level"),
             ]
         if (lost := self.if_lost_fail) is not None:
-            text = f"median {lost.fit.median:.3g}{unit}{_interval(lost.median)}, dispersion {lost.fit.dispersion:.3g}"
+            text = f"median {significant(lost.fit.median)}{unit}{_interval(lost.median)}, dispersion "
+            text += significant(lost.fit.dispersion)
             rows.append(("if lost", f"{text}, if the simulations without a result are failures"))
         if self.pulses is not None:
             rows += _pulse_lines(self.pulses)
@@ -153,8 +155,8 @@ class IdaFindings:
             factor, dispersion = self.options.shape_factor, self.options.total_dispersion
             ends = tuple(factor * end for end in self.cmr_interval or ())
             rows += [
-                ("CMR", f"{self.cmr:.3g}{_interval(self.cmr_interval or ())}"),
-                ("ACMR", f"{self.acmr:.3g} with a shape factor of {factor:.4g}{_interval(ends)}"),
+                ("CMR", f"{significant(self.cmr)}{_interval(self.cmr_interval or ())}"),
+                ("ACMR", f"{significant(self.acmr)} with a shape factor of {factor:.4g}{_interval(ends)}"),
             ]
             for share in (0.10, 0.20):
                 least = self.options.acceptable(share)
@@ -325,4 +327,4 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
 
 
 def _interval(ends: tuple[float, ...]) -> str:
-    return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
+    return f" ({100 * CONFIDENCE:g} % interval {' to '.join(map(significant, ends))})" if ends else " (no interval)"
