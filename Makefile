@@ -5,11 +5,12 @@ BIN := $(VENV)/bin
 RUN := runs/paper
 PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: paper test test-faults test-all check doctor before-tests faults docs reproduction benchmark clean help
+.PHONY: paper test test-tools test-faults test-all check doctor before-tests faults docs reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run the checks: lint, types, imports and tests"
+	@echo "make test-tools   those of the tests that need what make does not install: a browser, OpenSees, records"
 	@echo "make test-faults  install, try a few states of each fault of the fault suite (docs/reliability.md)"
 	@echo "make test-all     all of them with the exhaustive tests: more cases, and claims that take long to test"
 	@echo "make faults       install, try every state of the fault suite"
@@ -54,6 +55,10 @@ PYTEST = $(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscop
 
 test: before-tests
 	$(PYTEST) -m "not faults"
+
+# Without what they need they are skipped (tests/tools.py).
+test-tools: $(VENV)/.installed
+	$(PYTEST) -m needs
 
 # With strace (Debian: apt install strace) the fault suite also kills programs at their system calls.
 test-faults: $(VENV)/.installed

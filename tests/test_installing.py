@@ -77,44 +77,70 @@ def test_make_installs_from_any_index_and_announces_the_large_build(tmp_path: Pa
         assert len(said) == large
 
 
-def test_ci_goes_on_to_the_tests_where_nothing_can_be_installed(tmp_path: Path) -> None:
+SAYS = """\
+echo "make $*, home $(basename "$HOME") with $(ls -A "$HOME" | wc -l) files"
+echo "browser $(basename "$(command -v chromium)"), required:$ACTIVEFAIL_REQUIRE."
+touch "$HOME/compiled"
+"""
+"""Instead of make: what it was called for, and under which circumstances."""
+
+
+def test_ci_first_tests_as_on_a_bare_machine_and_goes_on_where_nothing_can_be_installed(tmp_path: Path) -> None:
     (tmp_path / ".ci").mkdir()
     shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
     commands = tmp_path / "bin"
     commands.mkdir()
-    for name, script in {"make": 'echo "make $*, required:$ACTIVEFAIL_REQUIRE."', "python3": "exit 1"}.items():
+    for name, script in {"make": SAYS, "chromium": "exit 1"}.items():
         (commands / name).write_text(f"#!/bin/sh\n{script}\n")
-    for name in ("apt-get", "dpkg-query", "which"):
+    for name in ("apt-get", "dpkg-query", "which", "python3"):
         (commands / name).write_text("#!/bin/sh\nexit 1\n")
     for path in commands.iterdir():
         path.chmod(0o755)
+    (tmp_path / "mine").mkdir()
     unset = {"PYTHON", "ACTIVEFAIL_REQUIRE", "ACTIVEFAIL_OPENSEES_PYTHON"}
     environment = {name: value for name, value in os.environ.items() if name not in unset}
-    environment["PATH"] = f"{commands}{os.pathsep}{environment['PATH']}"
+    environment |= {"PATH": f"{commands}{os.pathsep}{environment['PATH']}", "HOME": str(tmp_path / "mine")}
     done = subprocess.run(
         [tmp_path / ".ci" / "run"], env=environment, capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    assert "install" in lines[0]
-    assert "chromium" in lines[0]
+    assert lines[:4] == [
+        "make clean .venv/.installed, home mine with 0 files",
+        "browser chromium, required:.",
+        "make test, home home with 0 files",
+        "browser , required:.",
+    ]
+    assert "install" in lines[4]
+    assert "chromium" in lines[4]
     assert "ci: pip could not install openseespy" in lines
     assert "ci: pip could not install the records of FEMA P695" in lines
     assert "ci: records is not to be had here: its tests are skipped" in lines
     assert "ci: browser is not to be had here: its tests are skipped" in lines
-    assert lines[-2:] == ["make test, required:.", "make test-faults, required:."]
+    assert lines[-4:] == [
+        "make test-tools, home home with 1 files",
+        "browser chromium, required:.",
+        "make test-faults, home home with 1 files",
+        "browser chromium, required:.",
+    ]
 
 
-def test_a_test_that_is_skipped_for_want_of_a_required_tool_fails(tmp_path: Path) -> None:
-    claims = (
-        "tests/simulators/test_opensees.py::test_the_answer_is_written_to_the_file_and_nothing_else_to_stdout",
-        "tests/report/test_report_in_a_browser.py::test_the_report_prints",
-    )
-    words = [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", *claims]
+def without_tools(tmp_path: Path, *words: str, require: str = "") -> list[str]:
+    """What pytest prints where there is neither a browser nor openseespy."""
     missing = {"ACTIVEFAIL_OPENSEES_PYTHON": str(tmp_path / "none"), "PATH": str(tmp_path)}
-    environment = os.environ | missing | {"ACTIVEFAIL_REQUIRE": "strace openseespy"}
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    assert "1 skipped, 1 error" in done.stdout.splitlines()[-1], done.stdout
-    assert "has no openseespy: No such file or directory" in done.stdout
-    assert "(ACTIVEFAIL_REQUIRE names openseespy)" in done.stdout
-    assert re.search(r"^SKIPPED .*: a browser needs ", done.stdout, re.MULTILINE), done.stdout
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
+    environment = os.environ | missing | {"ACTIVEFAIL_REQUIRE": require}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return (done.stdout + done.stderr).splitlines()
+
+
+def test_what_needs_a_missing_tool_is_skipped_and_no_test_runs_without_a_required_one(tmp_path: Path) -> None:
+    places = ("tests/simulators/test_opensees.py", "tests/report/test_report_in_a_browser.py")
+    said = without_tools(tmp_path, "-m", "needs", *places)
+    assert re.search(r"^\d+ skipped, \d+ deselected in ", said[-1]), said
+    assert any(re.match(r"SKIPPED .*: a browser needs chromium ", line) for line in said), said
+    why = f"{tmp_path / 'none'} has no openseespy: No such file or directory"
+    assert any(re.match(rf"SKIPPED .*test_opensees.*: {re.escape(why)}", line) for line in said), said
+    said = without_tools(tmp_path, *places, require="openseespy")
+    assert said[0].startswith(f"ERROR: ACTIVEFAIL_REQUIRE names openseespy, but {why}")
+    assert said[1:] == [""]

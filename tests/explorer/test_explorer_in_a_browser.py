@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 from explorer.conftest import Visitor, served, there, tunnel
 from patience import until
-from report.browser import NO_BROWSER, console_errors, fresh, photograph, requested, screenshots
+from report.browser import console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.errors import InputError
 from activefail.explorer.site import CampaignSite, Slow
 
-pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+pytestmark = pytest.mark.needs("browser")
 
 
 class Explorer(Visitor):

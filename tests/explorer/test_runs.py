@@ -10,7 +10,7 @@ from campaign.stub import Disc, disc
 from explorer.conftest import Visitor, site_of, there
 from explorer.test_server import ask, request
 from patience import PATIENCE, until
-from report.browser import NO_BROWSER, console_errors, fresh
+from report.browser import console_errors, fresh
 from report.test_report import ran
 
 from activefail.campaign.on_disk import create_folder
@@ -316,7 +316,7 @@ def test_a_campaign_is_opened_once_and_again_when_its_record_has_changed(folder)
         thread.join()
 
 
-@pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+@pytest.mark.needs("browser")
 @pytest.mark.parametrize("width", [1400, 390])
 def test_the_page_follows_the_campaigns_and_leads_to_each(folder, driver, width):
     with ExplorerServer("127.0.0.1", 0, Runs(folder, site_below), needs_token=True) as server:

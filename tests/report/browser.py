@@ -1,7 +1,6 @@
-"""A real browser for the tests: Debian's Chromium, driven by Selenium; skips where one of them is missing."""
+"""A real browser for the tests: Debian's Chromium, driven by Selenium, for tests that need "browser" (`tools`)."""
 
 import base64
-import importlib.util
 import os
 import shutil
 from collections.abc import Iterator
@@ -9,22 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pytest
 from patience import PATIENCE
-
-NO_BROWSER = next(
-    (
-        f"a browser needs {what}"
-        for what, there in (
-            ("selenium (pip install 'activefail[dev]')", importlib.util.find_spec("selenium")),
-            ("Chromium (apt-get install chromium)", shutil.which("chromium")),
-            ("its driver (apt-get install chromium-driver)", shutil.which("chromedriver")),
-        )
-        if not there
-    ),
-    "",
-)
-"""Why there is no browser to test with; empty if there is one."""
 
 
 def screenshots(name: str, fallback: Path) -> Path:
@@ -36,9 +20,7 @@ def screenshots(name: str, fallback: Path) -> Path:
 
 @contextmanager
 def browser(width: int = 1280, height: int = 900) -> Iterator[Any]:
-    """A headless Chromium whose console and requests are recorded; the test skips if there is none."""
-    if NO_BROWSER:
-        pytest.skip(NO_BROWSER)
+    """A headless Chromium whose console and requests are recorded."""
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()

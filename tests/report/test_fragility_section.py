@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from commandline import activefail, refused, sets
-from report.browser import NO_BROWSER, browser, console_errors, photograph, screenshots
+from report.browser import browser, console_errors, photograph, screenshots
 from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
 
@@ -257,7 +257,7 @@ def test_fragility_and_design_write_pages_that_need_nothing_else(verified: Path)
     assert '<th scope="rowgroup" rowspan="3">failure</th>' in curves
 
 
-@pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+@pytest.mark.needs("browser")
 def test_the_section_and_the_pages_open_without_a_complaint(verified: Path, shown: Path, tmp_path: Path) -> None:
     with browser(1280, 2400) as driver:
         for page in (shown, verified / "curves" / "fragility.html", verified / "design" / "design.html"):

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, printed, requested, screenshots
+from report.browser import browser, console_errors, fresh, photograph, printed, requested, screenshots
 from report.test_report import SCRIPT, made, ran, settings
 
 from activefail.campaign.on_disk import open_campaign
 
-pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+pytestmark = pytest.mark.needs("browser")
 
 
 @pytest.fixture(scope="module")

