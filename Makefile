@@ -19,17 +19,20 @@ help:
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
 	@echo "make clean        remove the virtual environment (run folders stay)"
 
-# The stamp is newer than what it was installed from; a change of either installs again.
-$(VENV)/.installed: pyproject.toml constraints.txt
+# Tests need the extra `dev`, the paper's campaign the package alone. The stamp is newer than what it was installed from; a
+# change of either installs again.
+$(VENV)/.installed: WHAT = .[dev]
+$(VENV)/.package: WHAT = .
+$(VENV)/.installed $(VENV)/.package: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "activefail needs Python 3.11 or newer; name one with make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	@if [ "$$(uname)" = Linux ] && $(PIP) --dry-run --no-deps torch 2>/dev/null | grep -q 'torch-[0-9.]*$$'; then echo "pip found no CPU build of torch: the default build is coming, several GB with CUDA. To avoid it, press Ctrl-C and see README.md, Installation."; fi
-	@echo "Installing into $(VENV): some minutes the first time, and 3 GB of disk."
-	$(PIP) --quiet --editable '.[dev]' || { echo "Installing failed; see README.md, Installation."; exit 1; }
+	@echo "Installing into $(VENV): some minutes the first time, and up to 3 GB of disk."
+	$(PIP) --quiet --editable '$(WHAT)' || { echo "Installing failed; see README.md, Installation."; exit 1; }
 	@touch $@
 
 # An interrupted campaign goes on where it stopped.
-paper: $(VENV)/.installed
+paper: $(or $(wildcard $(VENV)/.installed),$(VENV)/.package)
 	@if [ -f $(RUN)/campaign.toml ]; then $(BIN)/activefail resume $(RUN); \
 	else $(BIN)/activefail run campaigns/paper.toml --out $(RUN); fi
 	@$(BIN)/activefail status $(RUN)

@@ -77,6 +77,23 @@ def test_make_installs_from_any_index_and_announces_the_large_build(tmp_path: Pa
         assert len(said) == large
 
 
+def test_make_paper_installs_the_package_alone_unless_the_tests_have_installed_more(tmp_path: Path) -> None:
+    for name in ("Makefile", "constraints.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+
+    def installs(target: str) -> list[str]:
+        done = subprocess.run(["make", "-n", target], cwd=tmp_path, capture_output=True, text=True, check=True)
+        return re.findall(r"--editable '(.*)'", done.stdout)
+
+    assert (installs("paper"), installs("check")) == (["."], [".[dev]"])
+    (tmp_path / ".venv").mkdir()
+    (tmp_path / ".venv" / ".package").touch()
+    assert (installs("paper"), installs("check")) == ([], [".[dev]"])
+    (tmp_path / ".venv" / ".package").unlink()
+    (tmp_path / ".venv" / ".installed").touch()
+    assert (installs("paper"), installs("check")) == ([], [])
+
+
 SAYS = """\
 echo "make $*, home $(basename "$HOME") with $(ls -A "$HOME" | wc -l) files"
 echo "browser $(basename "$(command -v chromium)"), required:$ACTIVEFAIL_REQUIRE."
