@@ -10,7 +10,9 @@ from numba import njit
 from numba.core import config
 
 import activefail
+from activefail.bearing import kernels
 from activefail.bearing.kernels import compiler_options, folder_of_kernels, kept_kernels, physics_digest
+from activefail.campaign.provenance import _LIBRARY_OPTIONS
 
 
 def test_kernels_of_earlier_sources_are_deleted_and_those_of_the_present_sources_stay(tmp_path: Path) -> None:
@@ -28,6 +30,9 @@ def test_kernels_of_earlier_sources_are_deleted_and_those_of_the_present_sources
 
 def test_kernels_compiled_under_other_options_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "contact.py").write_text("x")
+    # The machine may set some of these options itself.
+    for name, value in kernels._DEFAULTS.items():
+        monkeypatch.setattr(config, name, value, raising=False)
     folders = {folder_of_kernels(tmp_path)}
     assert compiler_options() == "defaults"
     for name, value in (("OPT", 0), ("SLP_VECTORIZE", 1), ("CPU_NAME", "generic"), ("DEBUGINFO_DEFAULT", 1)):
@@ -59,8 +64,7 @@ def another_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[
         "print(provenance()['numba_options'], simulation_versions()['numba_options'], provenance()['library_options'])"
     )
     # The machine may set some of these variables itself.
-    set_here = ("NUMBA_", "OPENBLAS_", "GLIBC_TUNABLES", "MKL_")
-    unset = {name: value for name, value in os.environ.items() if not name.startswith(set_here)}
+    unset = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", *_LIBRARY_OPTIONS))}
     return folder, [
         subprocess.run(
             [sys.executable, "-c", code],
