@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from commandline import activefail
 
+from activefail.campaign.provenance import provenance
+
 HERE = Path(__file__).parent
 NAMES = ("asynchronous", "batch", "elsewhere", "margins", "rare", "records")
 
@@ -24,6 +26,7 @@ _VARYING = [
     (re.compile(r"\b(?:about |less than )?\d+(?:\.\d+)? (s|min|MB|ms)\b(?! pulses)"), r"<\1>"),
     (re.compile(r"\b[0-9a-f]{40,64}\b"), "<digest>"),
     (re.compile(r"\b20\d\d-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?\S*"), "<time>"),
+    (re.compile(rf"^({'|'.join(provenance())})\n.*", re.M), r"\1\n<of this machine>"),
 ]
 
 
