@@ -1,5 +1,6 @@
 """Code and commands of the documentation that `test_docs.py` does not run: every block is run, read, or named here."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+import yaml
 from commandline import activefail, record
 
 import activefail as package
@@ -21,7 +23,8 @@ from activefail.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = {page.relative_to(ROOT).as_posix(): page for page in (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))}
+PATTERNS = "*.md", "docs/**/*.md", ".github/**/*.md"
+PAGES = {page.relative_to(ROOT).as_posix(): page for pattern in PATTERNS for page in ROOT.glob(pattern)}
 BLOCK = re.compile(r"^```(\S*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 INDENTED = re.compile(r"(?:\A|\n\n)((?: {4,}.*\n)+)")
@@ -79,6 +82,18 @@ def test_every_command_of_the_documentation_has_a_name_and_options_that_exist(na
 @pytest.mark.parametrize("command", ["activefail runs x", "activefail run x --ouch y"])
 def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
     assert unknown(command)
+
+
+def test_github_and_git_run_what_the_documentation_names_on_every_python_that_the_project_names() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = [text.split()[-1] for text in project["classifiers"] if re.search(r"Python :: 3\.\d", text)]
+    job = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text())["jobs"]["tests"]
+    assert job["strategy"]["matrix"]["python"] == named
+    assert job["steps"][-1] == {"run": ".ci/run"}
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    assert hook["entry"] == "make check"
+    assert "activefail doctor" in command_lines((ROOT / ".github" / "ISSUE_TEMPLATE" / "problem.md").read_text())
 
 
 # --- every block is run somewhere -----------------------------------------------------------------------------------
