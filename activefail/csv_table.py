@@ -97,6 +97,11 @@ class Table:
     places: list[str]
     decimal_marks: set[str] | None = None
 
+    @property
+    def is_file(self) -> bool:
+        """Whether it was read from a file or a stream, not from Python data."""
+        return bool(self.name)
+
     @classmethod
     def of_csv(cls, source: Source, most: int | None = None) -> "Table":
         """The table in a CSV file or stream.

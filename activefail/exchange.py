@@ -85,7 +85,7 @@ def tell(
             margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
             have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
             has levels, the outcome may be left out. Other columns are labels, which `simulations` has too. Rows without
-            outcome and margins are ignored.
+            outcome and margins are ignored in a CSV file, and refused elsewhere: NaN may be a simulation's result.
         correct: whether the table corrects recorded results; it must then hold no others.
         changed: whether the variables in the table are what was simulated, where they differ from the design that was
             handed out, as after rounding. They must lie in the design space.

@@ -1,18 +1,19 @@
 """`create_run` and `open_run`: create a run folder, or open one, as a `Run`."""
 
 import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue
-from activefail.campaign.known_code import code_for, remember_code
+from activefail.campaign.known_code import code_for, known_code, remember_code
 from activefail.campaign.on_disk import campaign_file, create_folder, opened, read_campaign
-from activefail.campaign.settings import CampaignSettings, checked
+from activefail.campaign.settings import CampaignSettings, checked, read_settings
 from activefail.errors import InputError
 from activefail.files import path_of
-from activefail.record.layout import SETTINGS
+from activefail.record.layout import SETTINGS, check_run_folder
 from activefail.run import Run
 
 AnyPath = str | os.PathLike[str]
@@ -32,7 +33,8 @@ def create_run(
         folder: to create.
         campaign: the path of a campaign file, or the name of a shipped one such as "paper"; or its settings as a
             dictionary, with the keys of a campaign file; or a campaign.
-        code: folder of the user's code, which is executed; the campaign file's folder if None.
+        code: folder of the user's code, which is executed. If None, the campaign file's folder; for a dictionary, the
+            folder of the script that runs, or the current folder without a script.
         remember: whether later commands and `open_run` may run the same code for this folder without being told its
             folder (see `activefail.campaign.known_code`).
         exist_ok: open the folder if it already holds this very campaign.
@@ -44,11 +46,13 @@ def create_run(
     folder, code = path_of("folder", folder), None if code is None else path_of("code", code)
     if exist_ok and (folder / SETTINGS).exists():
         wanted = _described(folder, campaign, code=code)
-        run = open_run(folder, write=True, code=code, remember=remember)
-        if other := [key for key, value in wanted.settings if getattr(run.settings, key) != value]:
-            run.close()
+        check_run_folder(folder)
+        held = read_settings(folder / SETTINGS)
+        if other := [key for key, value in wanted.settings if getattr(held, key) != value]:
             raise InputError(f"{folder}: holds another campaign: {', '.join(other)} differ. Choose another folder.")
-        return run
+        if code is None and not (remember and known_code(folder)):
+            code = wanted.code
+        return open_run(folder, write=True, code=code, remember=remember)
     campaign = campaign_for(folder, campaign, code=code)
     store = create_folder(folder, campaign)
     if remember:
@@ -93,11 +97,18 @@ def _described(
     code: Path | None = None,
 ) -> Campaign:
     if isinstance(campaign, Mapping):
-        return Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code, folder)
+        return Campaign.of(checked(CampaignSettings, dict(campaign), "settings"), code or _script_folder(), folder)
     if isinstance(campaign, Campaign):
         return campaign
     file = campaign_file(path_of("campaign", campaign))
     return read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
+
+
+def _script_folder() -> Path:
+    """The folder in which Python looks for modules first: of the script, or the current one without a script."""
+    main = sys.modules["__main__"]
+    script = getattr(main, "__file__", None) if main.__spec__ is None else None
+    return Path(script).parent if script else Path()
 
 
 def open_run(

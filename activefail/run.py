@@ -452,6 +452,8 @@ class Run:
             if name not in space.names or space.parameters[space.names.index(name)].choices:
                 numbers = [one.name for one in space.parameters if not one.choices]
                 raise InputError(f"plot_boundary: x and y must be two of {', '.join(numbers)}, got {name!r}.")
+        if x == y:
+            raise InputError(f"plot_boundary: x and y must differ, got {x!r} twice.")
         if unknown := set(at or {}) - set(space.names):
             raise InputError(f"at: must name variables, one of {', '.join(space.names)}, got {', '.join(unknown)}.")
         values = {name: column[0] for name, column in space.columns(middle_of(space)[None]).items()} | dict(at or {})

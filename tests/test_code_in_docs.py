@@ -1,25 +1,30 @@
 """Code and commands of the documentation that `test_docs.py` does not run: every block is run, read, or named here."""
 
-import importlib.util
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from commandline import activefail
+import yaml
+from commandline import activefail, record
 
 import activefail as package
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.cli import app
+from activefail.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = {page.relative_to(ROOT).as_posix(): page for page in (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))}
+PATTERNS = "*.md", "docs/**/*.md", ".github/**/*.md"
+PAGES = {page.relative_to(ROOT).as_posix(): page for pattern in PATTERNS for page in ROOT.glob(pattern)}
 BLOCK = re.compile(r"^```(\S*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 INDENTED = re.compile(r"(?:\A|\n\n)((?: {4,}.*\n)+)")
@@ -79,6 +84,18 @@ def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
     assert unknown(command)
 
 
+def test_github_and_git_run_what_the_documentation_names_on_every_python_that_the_project_names() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = [text.split()[-1] for text in project["classifiers"] if re.search(r"Python :: 3\.\d", text)]
+    job = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text())["jobs"]["tests"]
+    assert job["strategy"]["matrix"]["python"] == named
+    assert job["steps"][-1] == {"run": ".ci/run"}
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    assert hook["entry"] == "make check"
+    assert "activefail doctor" in command_lines((ROOT / ".github" / "ISSUE_TEMPLATE" / "problem.md").read_text())
+
+
 # --- every block is run somewhere -----------------------------------------------------------------------------------
 
 
@@ -121,14 +138,38 @@ def test_every_page_with_code_has_a_test_that_names_it() -> None:
         assert Path(name).name in text, f"{name} in {file}"
 
 
-def module_of(name: str, source: str, folder: Path) -> ModuleType:
-    (folder / f"{name}.py").write_text(source, encoding="utf-8")
-    spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def test_the_function_of_the_readme_is_called_by_a_script_beside_it(tmp_path: Path) -> None:
+    script, function, _ = blocks("README.md", "python")
+    (simulator,) = re.findall(r'`(simulator = \{"python".*?\})`', (ROOT / "README.md").read_text(encoding="utf-8"))
+    before, loop, _ = script.partition("while len(designs")
+    assert loop
+    before = re.sub("^simulator = .*", simulator, before, flags=re.MULTILINE)
+    (tmp_path / "beam.py").write_text(function, encoding="utf-8")
+    after = "print(run.take().finished)\nestimate = run.probability().estimate\nprint(estimate.low, estimate.high)\n"
+    (tmp_path / "script.py").write_text(before + after, encoding="utf-8")
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Exception ignored" not in done.stderr
+    *_, finished, interval = done.stdout.splitlines()
+    assert finished == "True"
+    g: dict[str, Any] = {}
+    exec(function, g)
+    middles = (np.arange(500) + 0.5) / 500
+    fails = [g["g"]({"load": load, "length": length}) <= 0 for load in 5 + 55 * middles for length in 1 + 4 * middles]
+    low, high = map(float, interval.split())
+    assert low < np.mean(fails) < high
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/guide.md"])
+def test_the_loops_of_the_pages_end_also_where_a_margin_is_nan(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (source,) = (block for block in blocks(page, "python") if "run.ask(" in block)
+    nan = re.sub("^    return ", "    return np.nan * ", source, flags=re.MULTILINE)
+    assert nan != source
+    with pytest.raises(InputError, match="row 0: must have a result"):
+        exec(nan, {})
 
 
 def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,15 +255,17 @@ def test_the_custom_simulator_of_the_guide_is_one(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     (campaign,) = (text for text in blocks("docs/guide.md", "toml") if '"building:run"' in text)
     (source,) = (text for text in blocks("docs/guide.md", "python") if "def run(design)" in text)
-    assert "0.03 - ..." in source
-    building = module_of("building", source.replace("...", '0.3 * design["mu"] * design["storeys"] / 3.0'), tmp_path)
-    outcomes = {building.run({"T_b": 4.0, "mu": mu, "storeys": 3.0})["outcome"] for mu in (0.01, 0.05, 0.2)}
+    source = source.replace("...", '0.3 * design["mu"] * design["storeys"] / 3.0')
+    (tmp_path / "building.py").write_text(source, encoding="utf-8")
     small = "\n[sampling]\ninitial = 8\nbudget = 8\nbatch = 4\n"
     (tmp_path / "guide.toml").write_text(campaign + small, encoding="utf-8")
     done = activefail("run", "guide.toml", "--out", "run", "--workers", "1")
     assert done.code == 0, done.err
-    assert outcomes == {"safe", "damage", "failure"}
     assert "8/8 simulations" in done.out
+    for row in record(tmp_path / "run"):
+        reserve = float(row["reserve"])
+        assert reserve == pytest.approx(0.03 - 0.3 * float(row["mu"]))
+        assert row["outcome"] == ("failure" if reserve <= 0.0 else "damage" if reserve <= 0.025 else "safe")
 
 
 def test_the_commands_and_python_on_records_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

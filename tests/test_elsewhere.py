@@ -320,6 +320,42 @@ def test_rows_without_a_result_are_not_told_yet(lab: Path, tmp_path: Path) -> No
         assert run.in_flight["id"].tolist() == [1]
 
 
+NOTHING: dict[str, Callable[[pd.DataFrame], Any]] = {
+    "NaN": lambda designs: designs.assign(g=[np.nan, 1.0, np.nan]),
+    "None": lambda designs: designs.assign(g=[None, 1.0, None]).to_dict("records"),
+    "NA": lambda designs: designs.assign(g=pd.array([None, 1.0, None], dtype="Float64")),
+    "empty text": lambda designs: designs.assign(g=["", "1.0", " "]),
+    "an outcome that is none": lambda designs: designs.assign(outcome=[None, "failure", np.nan]),
+    "both": lambda designs: designs.assign(g=[np.nan, 1.0, np.nan], outcome=[None, "safe", pd.NA]),
+}
+
+
+@pytest.mark.parametrize("given", NOTHING)
+def test_a_row_of_python_without_a_result_is_refused_with_both_ways_to_mean_it(lab: Path, given: str) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        rows = NOTHING[given](run.ask(3))
+        with pytest.raises(InputError) as caught:
+            run.tell(rows)
+        lines = str(caught.value).splitlines()
+        assert [line.split(":")[0] for line in lines[1:]] == ["  row 0", "  row 2"]
+        assert "Drop the row if there is no result yet" in lines[1]
+        assert 'if there will be none, its outcome is "numerical_failure".' in lines[1]
+        assert len(run.history) == 0
+        with pytest.warns(UserWarning, match="2 rows are skipped: row 0: must have a result, but has NaN or None as"):
+            assert run.tell(rows, skip_invalid=True) == 1
+        assert run.tell(run.in_flight.assign(outcome="numerical_failure")) == 2
+
+
+@pytest.mark.parametrize("outcome", ["", "safe"])
+def test_the_text_nan_in_a_file_is_no_margin(lab: Path, tmp_path: Path, outcome: str) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.ask(1)
+        told = written(tmp_path / "told.csv", [{"id": 0, "outcome": outcome, "g": "nan"}])
+        with pytest.raises(InputError, match=r"row 1 \(line 2\): .*nan"):
+            run.tell(told)
+        assert run.in_flight["id"].tolist() == [0]
+
+
 # --- wrong inputs ------------------------------------------------------------------------------------------------
 
 WRONG = [

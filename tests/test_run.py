@@ -156,6 +156,22 @@ def test_a_script_that_runs_again_continues_its_campaign_and_no_other(tmp_path: 
         af.create_run(tmp_path / "run", settings | {"sampling": sampling})
 
 
+def test_a_script_that_ends_without_closing_its_run_ends_quietly(tmp_path: Path) -> None:
+    settings = {"simulator": {"elsewhere": True, "margins": ["g"]}, "space": {"x": {"low": 0, "high": 1}}}
+    # What another module keeps is deleted when the interpreter has already emptied the modules.
+    program = f"""
+import json, activefail
+class Kept:
+    def __del__(self):
+        self.run.store._journal.__del__()
+json.kept = Kept()
+json.kept.run = activefail.create_run("run", {settings!r})
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    af.open_run(tmp_path / "run", write=True).close()
+
+
 def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
     space = {"x": {"low": 0, "high": 1}, "soil": {"choices": ["A", "B"]}, "y": {"low": 0, "high": 2}}
     settings = {"simulator": {"elsewhere": True, "margins": ["g"]}, "space": space}

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from itertools import product
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from rare import four_branch
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from activefail.simulators.interface import UnusableAnswerError
+from activefail.simulators.interface import NotFiniteError, UnusableAnswerError
 from activefail.simulators.returned import read_answer
 from activefail.systems import parse_system
 
@@ -86,6 +87,16 @@ def test_the_margins_of_a_system_may_stand_beside_a_cause_and_nothing_else(wrapp
     assert (result.outcome.tolist(), result.cause.tolist()) == ([1], [1])
     with pytest.raises(UnusableAnswerError, match="'note'"):
         read_answer(answer | {"note": 1.0}, *rules)
+
+
+def test_a_mode_may_be_nan_only_where_the_others_decide_also_beside_an_outcome() -> None:
+    rules = ("safe", "failure"), tuple(NAMES), (), 0.0, parse_system("min(bending, max(shear, drift))", NAMES)
+    decided = {"bending": -0.1, "shear": math.nan}
+    assert read_answer(decided, *rules).outcome.tolist() == [1]
+    assert read_answer({"outcome": "failure", "margins": decided}, *rules).outcome.tolist() == [1]
+    for left_open in ({"bending": 0.1, "shear": math.nan}, {"outcome": "safe", "margins": {"bending": math.nan}}):
+        with pytest.raises(NotFiniteError):
+            read_answer(left_open, *rules)
 
 
 def test_margins_that_leave_the_outcome_open_are_no_answer() -> None:

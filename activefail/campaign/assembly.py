@@ -198,8 +198,10 @@ class Campaign:
         """Check that activefail can run the campaign's simulations.
 
         Raises:
-            InputError: if they are done elsewhere.
+            InputError: if they are done elsewhere, or are custom code that may not be run.
         """
+        if isinstance(self.simulator, PythonSimulator | CommandSimulator):
+            self.simulator.check_permitted()
         if self.is_elsewhere:
             refused = ", ".join(self.settings.refused)
             raise InputError(
@@ -287,7 +289,7 @@ def _simulator(
         "impossible": spec.causes_that_mean("impossible"),
     }
     lost["causes"] = ("", *spec.causes)
-    decides = lost | {"levels": spec.levels_of_number, "system": spec.modes}
+    decides = lost | {"levels": spec.levels_of_number, "system": spec.modes, "truncated": tuple(spec.truncated)}
     match spec:
         case sections.PythonSimulatorSettings():
             function = PythonSimulator(space, spec.python, code, *returns, folder=run, renew=spec.renew, **decides)

@@ -91,7 +91,8 @@ def code_for(run: Path, *, simulates: bool, features: bool) -> Path | None:
         command = f"activefail resume {quoted(run)} --code {quoted(known.folder)}"
         raise InputError(
             f"{run}: the custom code in {known.folder} has changed since activefail last ran this campaign with it. "
-            f"Name the folder again to run the changed code: --code {quoted(known.folder)}, as in `{command}`."
+            f"Name the folder again to run the changed code: --code {quoted(known.folder)}, as in `{command}`, or "
+            f"code={str(known.folder)!r} in Python."
         )
     return known.folder
 

@@ -93,7 +93,9 @@ class ResultTable:
 
     @classmethod
     def told(cls, campaign: Campaign, table: Table, reading: Reading) -> Self:
-        """The results of designs that were handed out. Rows without any result are skipped.
+        """The results of designs that were handed out.
+
+        A row without any result is skipped in a file, which is filled in bit by bit. In Python, NaN may be a result.
 
         Raises:
             InputError: naming row, column, rule and value of the first cells that break a rule.
@@ -101,10 +103,21 @@ class ResultTable:
         table = reading.table(campaign, table)
         _require(table, [_ID])
         _require_result(campaign, table)
-        answers = [_OUTCOME, _CAUSE, *campaign.simulator.margins]
-        rows = range(len(table.rows))
-        table = table.only([row for row in rows if any(table.cell(row, name) is not None for name in answers)])
-        return cls._of_rows(campaign, table, reading, lambda row: _whole(table, row), lambda _row, _design: None)
+        answers = [name for name in (_OUTCOME, *campaign.simulator.margins, _CAUSE) if name in table.columns]
+
+        def has_result(row: int) -> bool:
+            return any(table.cell(row, name) is not None for name in answers)
+
+        def check(row: int, _: Array) -> None:
+            if not has_result(row):
+                raise InputError(
+                    f"{table.places[row]}: must have a result, but has NaN or None as {' and '.join(answers)}. Drop "
+                    'the row if there is no result yet; if there will be none, its outcome is "numerical_failure".'
+                )
+
+        if table.is_file:
+            table = table.only([row for row in range(len(table.rows)) if has_result(row)])
+        return cls._of_rows(campaign, table, reading, lambda row: _whole(table, row), check)
 
     @classmethod
     def added(cls, campaign: Campaign, table: Table, reading: Reading) -> Self:
@@ -427,6 +440,7 @@ def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:
 def _result(campaign: Campaign, table: Table, row: int) -> Results:
     outcomes, margins = campaign.simulator.outcomes, campaign.simulator.margins
     values = {name: table.number(row, name) for name in margins}
+    given = {name: value for name, value in values.items() if table.cell(row, name) is not None}
     seconds = 0.0 if table.cell(row, _SECONDS) is None else table.number(row, _SECONDS)
     if not 0.0 <= seconds < math.inf:
         raise table.broken(row, _SECONDS, "`0 <= seconds < inf` must hold", seconds)
@@ -438,19 +452,20 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
     if isinstance(name, str) and name == "numerical_failure":
         row_of_margins = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
         return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, row_of_margins, np.array([seconds]))
-    answer: object = {"outcome": name, "margins": values}
+    answer: object = {"outcome": name, "margins": given}
     if name is None:
         levels = _levels(campaign)
         if not (levels or campaign.system):
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
-        answer = values if campaign.system else values[margins[0]]
+        answer = given if campaign.system else values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
         rule = f'must be one of {", ".join(known)} (or a WORD of --map "{outcomes[-1]}=WORD")'
         raise table.broken(row, _OUTCOME, rule, name)
     else:
         levels = ()
     try:
-        result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system)
+        truncated = tuple(getattr(campaign.settings.simulator, "truncated", ()))
+        result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system, truncated=truncated)
     except UnusableAnswerError as error:
         raise InputError(f"{table.places[row]}: {error}.") from None
     is_failure = cause[0] in getattr(campaign.simulator, "failing", ()) and result.outcome[0] == len(outcomes) - 1

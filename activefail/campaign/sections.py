@@ -375,7 +375,9 @@ def means_safety(name: str) -> bool:
 Lost = Literal["unknown", "failure", "impossible"]
 """What a run without a result means."""
 
-CAUSES = Literal["worker_died", "time_limit", "out_of_memory", "raised", "unusable_answer", "numerical_failure"]
+CAUSES = Literal[
+    "worker_died", "time_limit", "out_of_memory", "raised", "unusable_answer", "not_finite", "numerical_failure"
+]
 """Why a run has no result; `numerical_failure` is what the simulator itself says."""
 
 

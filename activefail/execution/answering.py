@@ -8,10 +8,12 @@ import numpy as np
 
 from activefail.errors import ActivefailError, description_of, place_of
 from activefail.simulators.interface import (
+    NOT_FINITE,
     NUMERICAL_FAILURE,
     OUT_OF_MEMORY,
     RAISED,
     UNUSABLE_ANSWER,
+    NotFiniteError,
     Results,
     Simulator,
     UnusableAnswerError,
@@ -100,6 +102,8 @@ def _cause(error: BaseException) -> int:
     match error:
         case MemoryError():
             return OUT_OF_MEMORY
+        case NotFiniteError():
+            return NOT_FINITE
         case UnusableAnswerError():
             return UNUSABLE_ANSWER
         case _:

@@ -16,7 +16,15 @@ import numpy as np
 from activefail.errors import ActivefailError, SimulationError, description_of
 from activefail.execution.answering import answer
 from activefail.execution.processes import LostError, Worker
-from activefail.simulators.interface import RAISED, UNUSABLE_ANSWER, Results, Simulator, design_in_words, unanswered
+from activefail.simulators.interface import (
+    NOT_FINITE,
+    RAISED,
+    UNUSABLE_ANSWER,
+    Results,
+    Simulator,
+    design_in_words,
+    unanswered,
+)
 from activefail.space import Array
 
 TRIES = 2
@@ -98,7 +106,7 @@ class Guards:
             reasons.append(results.faults[0].removeprefix(design))
             # An isolated simulator runs each attempt in a fresh process anyway.
             fresh = loaded.asked == 1 or getattr(simulator, "isolated", False)
-            if len(reasons) == TRIES or (fresh and results.cause[0] in (RAISED, UNUSABLE_ANSWER)):
+            if len(reasons) == TRIES or (fresh and results.cause[0] in (RAISED, UNUSABLE_ANSWER, NOT_FINITE)):
                 _check_output()
                 return replace(results, faults={0: design + _joined(reasons)})
 

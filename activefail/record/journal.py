@@ -243,11 +243,11 @@ class Journal:
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             # All that was acknowledged is synchronised.
-            with suppress(OSError):
+            with self._ignoring:
                 self._close(descriptor)
 
     # At the end of the interpreter, modules may be gone before this object.
-    _close = staticmethod(os.close)
+    _close, _ignoring = staticmethod(os.close), suppress(OSError)
 
     def __del__(self) -> None:
         # A store that was not closed must not keep its folder locked.

@@ -34,6 +34,7 @@ from activefail.simulators.placeholders import (
     words_of,
 )
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
+from activefail.simulators.user_code import COMMAND_KEY, not_permitted
 from activefail.space import Array, DesignSpace
 from activefail.trust import read_regular
 
@@ -78,7 +79,7 @@ class CommandSimulator:
         retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
-        levels, system: of the margins (see `read_answer`).
+        levels, system, truncated: of the margins (see `read_answer`).
         templates: input files, filled in and written to the folder under their names without `.in`.
         copies: files and folders that are copied to the folder. Both are relative to `here`.
         pattern: regular expression with one group, whose last match in `output` is the answer; None reads `{out}`.
@@ -98,6 +99,7 @@ class CommandSimulator:
     largest_file: int = 10_000_000_000
     levels: tuple[float, ...] = ()
     system: Callable[[Array], Array] | None = None
+    truncated: tuple[str, ...] = ()
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
     causes: tuple[str, ...] = ("",)
@@ -212,6 +214,15 @@ class CommandSimulator:
         """The folder of a design, (d,)."""
         return self.work / hashlib.sha256(np.asarray(x, dtype=np.float64).tobytes()).hexdigest()[:16]
 
+    def check_permitted(self) -> None:
+        """Check that the program may be run.
+
+        Raises:
+            InputError: if it may not.
+        """
+        if self.here is None:
+            raise not_permitted(COMMAND_KEY, repr(self.command))
+
     def run(self, X: Array) -> Results:
         """Simulate designs, (n, d), one after the other.
 
@@ -221,11 +232,7 @@ class CommandSimulator:
             RuntimeError: if its exit code is not 0.
             UnusableAnswerError: if its answer is missing or breaks a rule.
         """
-        if self.here is None:
-            raise InputError(
-                f"simulator.command: {self.command!r} is a program that the campaign file names. A run folder may come "
-                "from someone else, so such a program runs only if you name the folder of its files with --code."
-            )
+        self.check_permitted()
         read_objects(self.space)
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):
@@ -296,7 +303,8 @@ class CommandSimulator:
             answer = self._answer(folder, out)
         except UnusableAnswerError as error:
             raise UnusableAnswerError(f"{error}{said}") from None
-        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds, self.system, self.causes)
+        names = self.outcomes, self.margins, self.levels
+        return read_answer(answer, *names, seconds, self.system, self.causes, self.truncated)
 
     def _answer(self, folder: Path, out: Path) -> object:
         """What the program wrote.

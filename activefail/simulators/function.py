@@ -11,7 +11,7 @@ from activefail.errors import ActivefailError, InputError, description_of
 from activefail.simulators.code_folder import import_from
 from activefail.simulators.interface import Results
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
-from activefail.simulators.user_code import SIMULATOR_KEY, load_function
+from activefail.simulators.user_code import SIMULATOR_KEY, load_function, not_permitted
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
 
@@ -33,7 +33,7 @@ class PythonSimulator:
         source: digest required of its module, on any machine; "" accepts any (see `load_function`).
         folder: the run folder, from which no code is run.
         renew: most simulations per process; None means no limit.
-        levels, system: of the margins (see `read_answer`).
+        levels, system, truncated: of the margins (see `read_answer`).
     """
 
     space: DesignSpace
@@ -46,11 +46,21 @@ class PythonSimulator:
     renew: int | None = None
     levels: tuple[float, ...] = ()
     system: Callable[[Array], Array] | None = None
+    truncated: tuple[str, ...] = ()
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
     causes: tuple[str, ...] = ("",)
 
     releases_gil = False
+
+    def check_permitted(self) -> None:
+        """Check that the function may be run.
+
+        Raises:
+            InputError: if it may not.
+        """
+        if self.code is None:
+            raise not_permitted(SIMULATOR_KEY, self.reference)
 
     def load(self) -> str:
         """Import the function's module and return the digest of its source.
@@ -94,7 +104,7 @@ class PythonSimulator:
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
             seconds = time.perf_counter() - began
             names = self.outcomes, self.margins, self.levels
-            answers.append(read_answer(answer, *names, seconds, self.system, self.causes))
+            answers.append(read_answer(answer, *names, seconds, self.system, self.causes, self.truncated))
         return Results.concatenate(answers)
 
 

@@ -13,7 +13,7 @@ NUMERICAL_FAILURE = -1
 """The outcome of a simulation without a usable result: counted, never learned from."""
 
 
-WORKER_DIED, TIME_LIMIT, OUT_OF_MEMORY, RAISED, UNUSABLE_ANSWER = -1, -2, -3, -4, -5
+WORKER_DIED, TIME_LIMIT, OUT_OF_MEMORY, RAISED, UNUSABLE_ANSWER, NOT_FINITE = -1, -2, -3, -4, -5, -6
 """Causes of a numerical failure in the execution of a simulation, in addition to each simulator's causes."""
 
 EXECUTION_CAUSES = {
@@ -22,6 +22,7 @@ EXECUTION_CAUSES = {
     OUT_OF_MEMORY: "out_of_memory",
     RAISED: "raised",
     UNUSABLE_ANSWER: "unusable_answer",
+    NOT_FINITE: "not_finite",
 }
 
 
@@ -32,6 +33,10 @@ def cause_name(causes: Sequence[str], code: int) -> str:
 
 class UnusableAnswerError(Exception):
     """A simulator returned something that is not a valid answer."""
+
+
+class NotFiniteError(UnusableAnswerError):
+    """A simulator returned NaN or infinity where it must return a number."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class Simulator(Protocol):
 
     **Exceptions.** An ActivefailError ends the campaign. Any other exception fails its simulation only: a call for
     several designs that raises is repeated row by row, and a row that raises is a numerical failure with the cause
-    `raised` or `out_of_memory`. A row with an invalid answer is one with the cause `unusable_answer`.
+    `raised` or `out_of_memory`. A row with an invalid answer is one with the cause `unusable_answer`, or `not_finite`.
     """
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from activefail.simulators.interface import Results, UnusableAnswerError
+from activefail.simulators.interface import NotFiniteError, Results, UnusableAnswerError
 from activefail.space import Array, DesignSpace
 from activefail.visible import margin_in_words
 
@@ -50,8 +50,12 @@ def read_answer(
     seconds: float,
     system: Callable[[Array], Array] | None = None,
     causes: tuple[str, ...] = ("",),
+    truncated: tuple[str, ...] = (),
 ) -> Results:
     """The result of one design, from what a custom simulator returned.
+
+    A margin that is left out is undefined. One that is NaN is no result, except in a system whose other margins decide,
+    and where `truncated` says that it is undefined.
 
     Args:
         answer: the outcome, a table with "outcome", "margins" and "cause", the only margin as a number, or the margins
@@ -62,9 +66,11 @@ def read_answer(
         seconds: wall time.
         system: margins, (k,) -> the system's, at most 0 where it fails, NaN if they do not say; None without a system.
         causes: names that it may contain; the first is none. If it is the only one, causes are ignored.
+        truncated: margins that may be NaN at the most severe outcome.
 
     Raises:
-        UnusableAnswerError: if the answer breaks a rule.
+        NotFiniteError: if a margin is NaN, or infinite without an outcome.
+        UnusableAnswerError: if the answer breaks another rule.
     """
     if isinstance(answer, str | Enum):
         answer = {"outcome": answer}
@@ -96,6 +102,13 @@ def read_answer(
     if outcome_name not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
     values = _values(margin_values, margins)
+    nan = [name for name, value in zip(margins, values, strict=True) if np.isnan(value) and name in margin_values]
+    is_decided = system is not None and not np.isnan(system(np.array(values)))
+    if nan and not is_decided and not (outcome_name == outcomes[-1] and {*nan} <= {*truncated}):
+        raise NotFiniteError(
+            f"margins.{nan[0]}: must be a number beside the outcome {outcome_name}, got nan; leave it out where it is "
+            "undefined"
+        )
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.array([causes.index(cause)], dtype=np.int8),
@@ -125,18 +138,20 @@ def _values(given: object, margins: tuple[str, ...]) -> list[float]:
 
 
 def _of_system(
-    given: object, outcomes: tuple[str, ...], margins: tuple[str, ...], system: Callable[[Array], Array]
+    given: Any, outcomes: tuple[str, ...], margins: tuple[str, ...], system: Callable[[Array], Array]
 ) -> dict[str, object]:
     """The outcome and the margins of an answer that is a system's margins.
 
     Raises:
-        UnusableAnswerError: if they are no numbers, or those that are undefined leave the outcome open.
+        NotFiniteError: if those that are NaN leave the outcome open.
+        UnusableAnswerError: if they are no numbers, or those that are left out leave it open.
     """
     values = dict(zip(margins, _values(given, margins), strict=True))
     value = float(system(np.array(list(values.values()))))
     if np.isnan(value):
-        undefined = ", ".join(name for name, number in values.items() if np.isnan(number))
-        raise UnusableAnswerError(f"margins: {undefined} must be defined, since the others leave the outcome open")
+        undefined = [name for name, number in values.items() if np.isnan(number)]
+        kind = NotFiniteError if {*undefined} & {*given} else UnusableAnswerError
+        raise kind(f"margins: {', '.join(undefined)} must be defined, since the others leave the outcome open")
     return {"outcome": outcomes[int(value <= 0.0)], "margins": values}
 
 
@@ -146,16 +161,15 @@ def _of_limit_state(
     """The outcome and the margin of an answer that is the margin alone.
 
     Raises:
-        UnusableAnswerError: if it is no finite number.
+        NotFiniteError: if it is NaN or infinite.
+        UnusableAnswerError: if it is no number.
     """
     number = _one_number(answer)
     if number is None:
         raise UnusableAnswerError(f"{_ways(outcomes)}, or {margin_in_words(margin)} as one number, got {answer!r}")
     value = _number(margin, number)
     if not np.isfinite(value):
-        raise UnusableAnswerError(
-            f"{margin_in_words(margin)} is {value}; without an outcome it must be a finite number"
-        )
+        raise NotFiniteError(f"{margin_in_words(margin)} is {value}; without an outcome it must be a finite number")
     return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
 
 
@@ -186,7 +200,7 @@ def _number(name: str, value: object) -> float:
     """
     given = _one_number(value)
     if given is None:
-        raise UnusableAnswerError(f"margins.{name}: must be one number, NaN where it is undefined, got {value!r}")
+        raise UnusableAnswerError(f"margins.{name}: must be one number, left out where it is undefined, got {value!r}")
     try:
         number = float(given)
     except OverflowError:  # an integer

@@ -22,6 +22,9 @@ MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.pyt
 LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 """The settings that name a user's functions; the record stores the digests of their sources under these keys."""
 
+_importing: set[str] = set()
+"""The user's modules that are being imported; `_loading` guards it."""
+
 _loading = threading.RLock()
 """One module at a time: imports share the path, the current folder and the output of the process."""
 
@@ -45,10 +48,7 @@ def load_function(
         InputError: if the module or function does not exist, cannot be imported, or may not be run.
     """
     if code is None:
-        raise InputError(
-            f"{key}: {reference} is custom code. A run folder may come from someone else, so custom code runs only if "
-            "you name its folder with --code."
-        )
+        raise not_permitted(key, reference)
     module_name, _, name = reference.partition(":")
     try:
         # Naming the run folder as --code, or a folder inside it, permits its code.
@@ -65,6 +65,13 @@ def load_function(
         ) from None
     except KeyboardInterrupt:
         raise
+    except _ImportsItselfError:
+        if _importing:
+            raise
+        raise InputError(
+            f"{key}: {module_name} creates a run while it is imported. Put the function into a file of its own, or "
+            'what creates the run under `if __name__ == "__main__":`.'
+        ) from None
     except BaseException as error:  # a script that calls sys.exit must not end the program silently
         reason = visible(description_of(error))
         raise InputError(f"{key}: {module_name} cannot be imported: {reason}.") from error
@@ -72,6 +79,18 @@ def load_function(
     if not callable(function):
         raise InputError(f"{key}: {module.__file__ or module_name} has no function {name!r}.")
     return function, digest
+
+
+def not_permitted(key: str, code: str) -> InputError:
+    """The error where custom code, a function or a program, would run although its user has not named its folder."""
+    return InputError(
+        f"{key}: {code} is custom code. A run folder may come from someone else, so custom code runs only if you name "
+        "its folder with --code, or code=FOLDER in Python."
+    )
+
+
+class _ImportsItselfError(Exception):
+    """A module asks for a function of its own while it is imported."""
 
 
 class _NeverRunError(Exception):
@@ -90,7 +109,7 @@ def _load_module(name: str, code: Path, forbidden: Path | None) -> tuple[ModuleT
     if file is not None and forbidden and lies_in(file, forbidden):
         raise _NeverRunError(file)
     sources = {} if found is None else sources_of(found, code)
-    with _loading, _current_folder_kept(), redirect_stdout(sys.stderr):
+    with _loading, _not_twice(name), _current_folder_kept(), redirect_stdout(sys.stderr):
         import_from(code, sources)
         module = _module_from_path(name, forbidden) if file is None else _module_from_file(file, name)
     origin = Path(module.__file__) if module.__file__ else None
@@ -152,6 +171,22 @@ def _module_from_path(name: str, forbidden: Path | None) -> ModuleType:
 def lies_in(path: Path, folder: Path) -> bool:
     """Whether a path is a folder or lies in it, by its name or with links followed."""
     return path.absolute().is_relative_to(folder.absolute()) or path.resolve().is_relative_to(folder.resolve())
+
+
+@contextmanager
+def _not_twice(name: str) -> Iterator[None]:
+    """The context in which a module is imported.
+
+    Raises:
+        _ImportsItselfError: if it is being imported already.
+    """
+    if name in _importing:
+        raise _ImportsItselfError
+    _importing.add(name)
+    try:
+        yield
+    finally:
+        _importing.discard(name)
 
 
 @contextmanager

@@ -5,8 +5,10 @@ import os
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from unittest import mock
 
 import pytest
@@ -161,6 +163,94 @@ def test_a_command_on_a_relative_path_is_about_the_same_run_folder(
     (tmp_path / "link").symlink_to(run)
     for path in (Path("run"), Path("link"), tmp_path / "mine" / ".." / "run"):
         assert known_code(path) is not None
+
+
+# --- settings in Python ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def script(mine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A script beside the code, as if it ran this test, from another folder that has a module of the same name."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "model.py").write_text("raise SystemExit('another module')")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    main = ModuleType("__main__")
+    main.__file__ = str(mine / "script.py")
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    return mine / "script.py"
+
+
+SETTINGS = tomllib.loads(TOML)
+
+
+def test_settings_in_python_run_the_code_beside_the_script(script: Path, tmp_path: Path) -> None:
+    with af.create_run(tmp_path / "run", SETTINGS) as run:
+        assert run.take(progress=False).finished
+    assert script.with_name("ran").exists()
+    succeeded(resumed(tmp_path / "run"))
+
+
+def test_settings_in_python_without_a_script_run_the_code_in_the_current_folder(
+    script: Path, mine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delattr(sys.modules["__main__"], "__file__")
+    with pytest.raises(InputError, match="model cannot be imported: SystemExit: another module"):
+        af.create_run(tmp_path / "run", SETTINGS)
+    monkeypatch.chdir(mine)
+    af.create_run(tmp_path / "run", SETTINGS).close()
+
+
+@pytest.mark.parametrize("remember", [True, False])
+def test_a_script_that_runs_again_states_its_code_again(script: Path, tmp_path: Path, remember: bool) -> None:
+    for budget in (4, 6):
+        with af.create_run(tmp_path / "run", SETTINGS, exist_ok=True, remember=remember) as run:
+            assert run.take(budget, progress=False).progress.done == budget
+
+
+def test_code_that_has_changed_since_is_not_mixed_in_unless_it_is_named(
+    script: Path, mine: Path, tmp_path: Path
+) -> None:
+    af.create_run(tmp_path / "run", SETTINGS).close()
+    (mine / "limit.py").write_text("LIMIT = 0.6\n")
+    with pytest.raises(InputError, match=f"has changed since .* or code={str(mine)!r} in Python"):
+        af.create_run(tmp_path / "run", SETTINGS, exist_ok=True)
+    af.create_run(tmp_path / "run", SETTINGS, exist_ok=True, code=mine).close()
+
+
+def test_of_a_folder_with_another_campaign_nothing_is_run(script: Path, mine: Path, tmp_path: Path) -> None:
+    (mine / "other.py").write_text(MODEL.replace('"ran"', '"other ran"'))
+    other = SETTINGS | {"simulator": {"python": "other:run"}}
+    af.create_run(tmp_path / "run", other).close()
+    (mine / "other ran").unlink()
+    with pytest.raises(InputError, match="holds another campaign: simulator differ"):
+        af.create_run(tmp_path / "run", SETTINGS, exist_ok=True, code=mine)
+    assert not (mine / "other ran").exists()
+
+
+@pytest.mark.parametrize("simulator", [{"python": "model:run"}, {"command": "true {x} {y} {out}"}])
+def test_a_folder_of_someone_else_is_refused_before_anything_begins(
+    mine: Path, tmp_path: Path, simulator: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    af.create_run(tmp_path / "run", SETTINGS | {"simulator": simulator}, code=mine, remember=False).close()
+    with (
+        af.open_run(tmp_path / "run", write=True) as run,
+        pytest.raises(InputError, match=f"is custom code.*{NAMED}, or code=FOLDER in Python") as refused,
+    ):
+        run.take()
+    assert "\n" not in str(refused.value)
+    assert len(refused.traceback) < 6
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_script_that_names_itself_is_told_what_to_move(script: Path, mine: Path, tmp_path: Path) -> None:
+    creates = f"import activefail\nactivefail.create_run({str(tmp_path / 'run')!r}, {SETTINGS!r})\n"
+    (mine / "model.py").write_text(f"{MODEL}\n{creates}")
+    with pytest.raises(InputError, match="model creates a run while it is imported"):
+        af.create_run(tmp_path / "run", SETTINGS)
+    assert not (tmp_path / "run").exists()
+    indented = creates.replace("\n", "\n    ")
+    (mine / "model.py").write_text(f"{MODEL}\nif __name__ == '__main__':\n    {indented}\n")
+    af.create_run(tmp_path / "run", SETTINGS).close()
 
 
 # --- changed code ----------------------------------------------------------------------------------------------------

@@ -34,7 +34,14 @@ from activefail.execution.local import ProcessExecutor, local_executor
 from activefail.parameter import Parameter
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
-from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER, UnusableAnswerError
+from activefail.simulators.interface import (
+    NOT_FINITE,
+    RAISED,
+    TIME_LIMIT,
+    UNUSABLE_ANSWER,
+    NotFiniteError,
+    UnusableAnswerError,
+)
 from activefail.simulators.returned import read_answer
 from activefail.simulators.user_code import digest_without_running
 from activefail.space import DesignSpace
@@ -162,6 +169,45 @@ def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, 
     assert re.search(UNUSABLE[result], fault), fault
 
 
+NAN = {
+    "{'outcome': 'safe', 'margins': {'gap': float('nan')}}": "margins.gap: must be a number beside the outcome safe",
+    "{'outcome': 'failure', 'margins': {'gap': -float('nan')}}": "beside the outcome failure, got nan; leave it out",
+    "{'outcome': 'safe', 'margins': {'gap': 1.0, 'energy': float('nan')}}": "margins.energy: must be a number",
+    "{'outcome': 'damage', 'margins': {'gap': __import__('decimal').Decimal('NaN')}}": "margins.gap: must be",
+    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').array([float('nan')])}}": "margins.gap: must be",
+}
+
+
+@pytest.mark.parametrize("result", NAN)
+def test_a_margin_that_is_nan_is_no_result_whatever_the_outcome_beside_it(tmp_path: Path, result: str) -> None:
+    (tmp_path / "said").write_text(result)
+    results = answer(python(tmp_path, "broken"), X[:1])
+    assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [NOT_FINITE])
+    assert NAN[result] in results.faults[0]
+
+
+def test_a_margin_that_is_left_out_or_that_ends_at_failure_may_be_undefined() -> None:
+    rules = ("safe", "failure"), ("gap", "energy"), (), 0.0
+    for outcome in ("safe", "failure"):
+        read = read_answer({"outcome": outcome, "margins": {"gap": 1.0}}, *rules)
+        assert np.isnan(read.margins).tolist() == [[False, True]]
+    nan = {"gap": math.nan, "energy": 1.0}
+    assert read_answer({"outcome": "failure", "margins": nan}, *rules, truncated=("gap",)).outcome.tolist() == [1]
+    for answered, truncated in (("safe", ("gap",)), ("failure", ("energy",))):
+        with pytest.raises(NotFiniteError, match=r"margins\.gap: must be a number beside"):
+            read_answer({"outcome": answered, "margins": nan}, *rules, truncated=truncated)
+
+
+def test_a_program_that_writes_nan_has_no_result(tmp_path: Path) -> None:
+    for source in (
+        "json.dump({'outcome': 'safe', 'margins': {'gap': float('nan')}}, open(sys.argv[-1], 'w'))",
+        "json.dump(float('nan'), open(sys.argv[-1], 'w'))",
+    ):
+        assert answer(program(tmp_path, source, levels=(0.0,)), X[:1]).cause.tolist() == [NOT_FINITE]
+    simulator = program(tmp_path, "print('gap = nan')", levels=(0.0,), pattern=r"gap = (\S+)")
+    assert answer(simulator, X[:1]).cause.tolist() == [NOT_FINITE]
+
+
 @pytest.mark.faults
 def test_the_place_of_an_error_that_a_library_raises_is_the_last_line_of_the_user_s_code(tmp_path: Path) -> None:
     (tmp_path / "helper.py").write_text("import numpy\n\ndef factor():\n    return numpy.linalg.cholesky([[-1.0]])\n")
@@ -196,7 +242,7 @@ def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_p
 def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text("raise SystemExit")
     simulator = PythonSimulator(SPACE, "model:run", None, ("safe", "failure"), ())
-    with pytest.raises(InputError, match=r"model:run is custom code.*name its folder with --code\."):
+    with pytest.raises(InputError, match=r"model:run is custom code.*name its folder with --code, or code=FOLDER in"):
         answer(simulator, X)
 
 
@@ -880,7 +926,7 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
     repeated = activefail("resume", run, "--budget", "24")
     assert repeated.code == 2
     assert "simulator.python: model:run is custom code" in repeated.err
-    assert "name its folder with --code." in repeated.err
+    assert "name its folder with --code, or code=FOLDER in Python." in repeated.err
     assert "Traceback" not in repeated.err
     result = activefail("resume", run, "--budget", "24", "--code", mine)
     assert result.code == 0, result.err
@@ -1412,7 +1458,7 @@ def test_one_number_is_a_number_whatever_holds_it(value: object) -> None:
 def test_what_is_not_one_number_is_refused_with_what_to_return(value: object) -> None:
     with pytest.raises(UnusableAnswerError, match=r"\(safe, failure\), or .*, or the margin g as one number, got"):
         read_answer(value, ("safe", "failure"), ("g",), (0.0,), 0.0)
-    with pytest.raises(UnusableAnswerError, match=r"margins\.g: must be one number, NaN where it is undefined, got"):
+    with pytest.raises(UnusableAnswerError, match=r"margins\.g: must be one number, left out where it is undefined"):
         read_answer({"outcome": "safe", "margins": {"g": value}}, ("safe", "failure"), ("g",), (0.0,), 0.0)
 
 
