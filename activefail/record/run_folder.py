@@ -101,10 +101,13 @@ class FolderStore(MemoryStore):
 
         Raises:
             BusyError: if another process is creating the folder.
-            InputError: if the folder is not empty or cannot exist at this path; nothing is changed.
+            InputError: if the folder is not empty or cannot exist at this path, or the settings are too long; nothing
+                is changed.
             StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
+        if (size := len(settings.encode())) > LARGEST_SETTINGS:
+            raise InputError(f"{folder}: {SETTINGS} must have at most {LARGEST_SETTINGS} bytes, would have {size}.")
         try:
             check_empty(folder, "campaign", "If it holds a campaign, resume that; otherwise choose another folder.")
             make_folder(folder)
@@ -171,7 +174,7 @@ class FolderStore(MemoryStore):
         try:
             for entry in self._journal.entries():
                 self._take(entry.event, entry.content)
-            check_asked(self._handed_out, self.schema)
+            check_asked(self._handed_out, self.schema, self._iteration)
         except StoreError:
             raise
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
