@@ -249,9 +249,11 @@ class MemoryStore:
 
 
 def _remembering(results: Remembered) -> list[Event]:
-    if not is_bounded([*results.values()]):
-        raise ValueError(f"The results of {[*results]} are nested too deep, or have a number of more than 64 bits.")
-    return [Event("result", {"of": [*of], "value": _copied(value)}, {}) for of, value in results.items()]
+    events = [Event("result", {"of": [*of], "value": _copied(value)}, {}) for of, value in results.items()]
+    for event in events:
+        if not is_bounded(event.attributes):
+            raise ValueError(f"{event.attributes['of']} is nested too deep, or has a number of more than 64 bits.")
+    return events
 
 
 def _copied(value: Any) -> Any:
