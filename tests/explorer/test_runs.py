@@ -47,11 +47,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "old" / "segments").mkdir(parents=True)
     (folder / "old" / "campaign.toml").touch()
     (folder / "notes" / "segments").mkdir(parents=True)
-    # A user's files, beside the run folders and in folders of their own.
-    for name in ("campaign.toml", "journal", "checkpoint.h5"):
-        (folder / f"files of {name}").mkdir()
-        (folder / f"files of {name}" / name).touch()
-    (folder / "journal").write_text("Monday: began.")
+    (folder / "files").mkdir()
+    # A user's campaign file, beside the run folders and in a folder of its own.
+    for place in (folder, folder / "files"):
+        (place / "campaign.toml").touch()
     return folder
 
 
@@ -303,6 +302,15 @@ def test_a_request_of_an_open_campaign_lists_no_folders(folder, monkeypatch):
     runs.page("/")
     monkeypatch.setattr(all_runs, "run_folders", lambda _: pytest.fail("listed"))
     assert runs.below(NAME, anew=False) is not None
+
+
+@pytest.mark.parametrize("name", ["journal", "checkpoint.h5"])
+def test_a_users_own_file_makes_no_run_folder(tmp_path, name):
+    create_folder(tmp_path / "run", disc()).close()
+    (tmp_path / "notes").mkdir()
+    for place in (tmp_path, tmp_path / "notes"):
+        (place / name).write_text("Monday: began.")
+    assert run_folders(tmp_path) == [tmp_path / "run"]
 
 
 def test_an_emptied_folder_has_no_campaigns(tmp_path):
