@@ -703,12 +703,22 @@ def test_short_writes_lose_nothing_and_missing_ones_are_noticed(tmp_path: Path, 
 
 def test_temporaries_of_a_crash_are_removed_only_when_opened_to_write(tmp_path: Path) -> None:
     written(tmp_path / "run", 2)
-    left = tmp_path / "run" / ".tmp-0123"
-    left.write_text("half")
+    left, mine = tmp_path / "run" / ".tmp-0123456789abcdef", tmp_path / "run" / ".tmp-notes"
+    for file in (left, mine):
+        file.write_text("half")
     read(tmp_path / "run")
     assert left.exists()
     FolderStore.open(tmp_path / "run", SCHEMA, write=True).close()
     assert not left.exists()
+    assert mine.exists()
+
+
+@pytest.mark.parametrize("name", [".tmp-notes", ".tmp-0123456789ABCDEF", "journal.quarantine", ".tmp-"])
+def test_a_new_campaign_needs_a_folder_without_files_of_the_users(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=f"not empty .it holds {name}"):
+        FolderStore.create(tmp_path, SETTINGS, SCHEMA)
+    assert (tmp_path / name).read_text() == "mine"
 
 
 # Foreign journals
