@@ -9,9 +9,11 @@ import re
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol, Self
 
@@ -210,11 +212,15 @@ class Table:
         """The table of these rows."""
         return replace(self, rows=[self.rows[row] for row in rows], places=[self.places[row] for row in rows])
 
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.columns)}
+
     def cell(self, row: int, name: str) -> Any:
         """A cell; None if it is empty or its column is missing."""
-        if name not in self.columns:
+        if (place := self._places.get(name)) is None:
             return None
-        value = self.rows[row][self.columns.index(name)]
+        value = self.rows[row][place]
         if isinstance(value, str):
             return value.strip() or None
         return None if _is_missing(value) else value
@@ -459,11 +465,11 @@ def _header(table: str, cells: list[str] | None) -> tuple[str, ...]:
 
 
 def _distinct(place: str, names: Iterator[str]) -> tuple[str, ...]:
-    columns = tuple(names)
-    for name in columns:
-        if columns.count(name) > 1:
-            raise InputError(f"{place}column {name!r}: must occur only once, occurs {columns.count(name)} times.")
-    return columns
+    counts = Counter(names)
+    for name, times in counts.items():
+        if times > 1:
+            raise InputError(f"{place}column {name!r}: must occur only once, occurs {times} times.")
+    return tuple(counts)
 
 
 @contextmanager

@@ -232,8 +232,6 @@ def _record(
     """
     from activefail.campaign.results_table import refusal
     from activefail.loop.telling import RowsError
-    from activefail.record.asked import bits_of
-    from activefail.record.labels import keep_labels
 
     def warn() -> None:
         # Before the commit, because warnings may be raised as errors. Attributed to the caller of `tell` or `add`.
@@ -241,22 +239,12 @@ def _record(
             warnings.warn(text, TableWarning, stacklevel=5)
 
     try:
-        simulated = {"simulated": results.designs} if changed else {}
-        new = record(run.campaign, run.store, getattr(results, which), results.results, warn, **simulated)
+        beside = {"labels": results.labels(run.campaign)} | ({"simulated": results.designs} if changed else {})
+        new = record(run.campaign, run.store, getattr(results, which), results.results, warn, **beside)
     except RowsError as error:
         reasons = {row: f"{results.table.places[row]}: {reason}." for row, reason in error.reasons.items()}
         if not skip_invalid:
             raise refusal(list(reasons.values())) from None
         return _record(run, results.without(reasons), record, which, skip_invalid, more, changed)
-    if any(labels := results.labels(run.campaign)):
-        ids = run.history.id.tolist()
-        if which == "ids":
-            ids = results.ids.tolist()
-        elif run.campaign.settings.is_repeatable:
-            places = dict(zip(bits_of(run.history.designs), ids, strict=True))
-            ids = [places[bits] for bits in bits_of(results.designs)]
-        else:  # every row is a new simulation
-            ids = ids[-len(labels) :]
-        keep_labels(run.store, ids, labels)
     run._predicts = None
     return new

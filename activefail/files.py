@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -11,7 +12,7 @@ from typing import IO, Any, Literal
 from activefail.errors import InputError, StoreError, SyncError
 
 TEMPORARY = ".tmp-"
-"""Prefix of an unfinished file of a record; the holder of the run folder's lock may remove it."""
+"""Prefix of an unfinished file of a record; the holder of the run folder's lock may remove it (`is_temporary`)."""
 
 _NEW = ".new-"
 """Prefix of any other unfinished file, which may also be in a run folder, but without a lock."""
@@ -42,6 +43,11 @@ def path_of(name: str, file: Any) -> Path:
 def temporary_next_to(path: Path, prefix: str = TEMPORARY) -> Path:
     """A new name in the folder of a path; short, because the path's name may have the maximal length."""
     return path.with_name(f"{prefix}{secrets.token_hex(8)}")
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file of this name is an unfinished file of a record; other names are the user's."""
+    return re.fullmatch(rf"{re.escape(TEMPORARY)}[0-9a-f]{{16}}", name) is not None
 
 
 @contextmanager

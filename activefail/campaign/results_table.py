@@ -193,6 +193,7 @@ class ResultTable:
         """Likely mistakes: misspelt columns, and margins that are missing or contradict the outcome."""
         simulator, names = campaign.simulator, self.table.columns
         known = _known(campaign)
+        absent = [one for one in known if one not in (*names, _ID)]
         texts = []
         if self.skipped:
             more = f" and {len(self.skipped) - _SHOWN} more" if len(self.skipped) > _SHOWN else ""
@@ -205,7 +206,7 @@ class ResultTable:
             else set()
         )
         for name in names:
-            missing = [one for one in known if one not in (*names, _ID) and may_be(one, name)]
+            missing = [one for one in absent if may_be(one, name)]
             if name not in known and missing:
                 texts.append(
                     f"{self.table.name}column {name!r} is ignored; {missing[0]!r} is missing{_way(missing[0], name)}."

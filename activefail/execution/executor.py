@@ -90,7 +90,8 @@ class AsynchronousExecutor(Executor, Protocol):
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
         """Tickets and results, one design each, that arrived since the last call, in order of arrival.
 
-        Each ticket is returned once. Waits up to `seconds` for the first result; the list is empty if none arrives.
+        Each ticket is returned once; with one worker on this machine, one in a call. Waits up to `seconds` for the
+        first result; the list is empty if none arrives.
 
         Raises:
             SimulationError, ActivefailError: as `run` does.

@@ -1,5 +1,6 @@
 """Executors on this machine, and the number of workers: threads for compiled simulators, processes for all others."""
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,15 +24,15 @@ _ROWS_A_CALL = 16
 T = TypeVar("T")
 
 
-def taken(queue: "SimpleQueue[T]", seconds: float) -> list[T]:
-    """All that a queue holds, in order; waits up to `seconds` for the first item.
+def taken(queue: "SimpleQueue[T]", seconds: float, most: float = math.inf) -> list[T]:
+    """What a queue holds, in order, at most so many items; waits up to `seconds` for the first one.
 
     A wait without a limit could miss a Ctrl-C that arrives just before it: Python handles it when the wait ends.
     """
     items = []
     with suppress(Empty):
         items.append(queue.get(timeout=seconds))
-        while True:
+        while len(items) < most:
             items.append(queue.get_nowait())
     return items
 
@@ -83,8 +84,10 @@ class ThreadExecutor:
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
         """Tickets and results that arrived (see AsynchronousExecutor)."""
+        # One worker answers in order. One by one, what is learned from its results does not depend on its speed.
+        most = 1 if self.workers == 1 else math.inf
         with self._stopping_after_errors():
-            return [(ticket, future.result()) for ticket, future in taken(self._done, seconds)]
+            return [(ticket, future.result()) for ticket, future in taken(self._done, seconds, most)]
 
     def _submit(self, simulator: Simulator, ticket: int, X: Array, done: _Done) -> None:
         try:

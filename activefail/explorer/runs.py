@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from activefail.errors import ActivefailError
+from activefail.errors import ActivefailError, description_of
 from activefail.explorer.pages import Answer, Question, Site, page
 from activefail.findings.status import Status, read_status
 from activefail.numerals import outcomes_in_words
@@ -31,6 +31,9 @@ _MOST_OPEN = 8
 
 _SHARE = 0.1
 """Largest share of the time for which one run folder is read."""
+
+_PATIENCE = 5.0
+"""Longest wait for a run folder to be read [s]; the page shows it once it has been read."""
 
 _SIZE = 220.0, 56.0
 """Width and height of a learning curve."""
@@ -51,7 +54,7 @@ Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 def _stamp(folder: Path) -> Stamp | None:
-    """What changes when a run folder does; None if it is none: a user's file may be named as the settings are."""
+    """What changes when a run folder does; None if it is none: a user's file may be named as one of its files."""
     found: list[tuple[int, int, int] | None] = []
     for name in (SETTINGS, JOURNAL, CHECKPOINT, "segments"):
         try:
@@ -59,8 +62,7 @@ def _stamp(folder: Path) -> Stamp | None:
             found.append((of.st_mtime_ns, of.st_size, of.st_ino))
         except OSError:
             found.append(None)
-    settings, journal, checkpoint, segments = found
-    return tuple(found) if journal or checkpoint or (settings and segments) else None
+    return tuple(found) if len(found) - found.count(None) > 1 else None
 
 
 class Curve(NamedTuple):
@@ -88,6 +90,31 @@ class _Read(NamedTuple):
     seconds: float
 
 
+class _Reading(threading.Thread):
+    """Reads a run folder.
+
+    Attributes:
+        begun: when it began.
+        read: the run folder; None until the end.
+    """
+
+    def __init__(self, folder: Path, stamp: Stamp) -> None:
+        super().__init__(daemon=True)
+        self._folder, self._stamp, self.begun = folder, stamp, time.monotonic()
+        self.read: _Read | None = None
+
+    def run(self) -> None:
+        """Read it. Nothing that is wrong with it reaches the page but in words."""
+        status, fault = None, ""
+        try:
+            status = read_status(self._folder)
+        except (ActivefailError, OSError) as error:
+            fault = str(error)
+        except Exception as error:
+            fault = f"cannot be read: {visible(description_of(error))}"
+        self.read = _Read(self._stamp, status, fault, self.begun, time.monotonic() - self.begun)
+
+
 class Runs:
     """The campaigns in a folder; implements `Site`.
 
@@ -99,6 +126,7 @@ class Runs:
     def __init__(self, folder: Path, open_site: Callable[[Path], Site]) -> None:
         self.folder, self.open_site = folder, open_site
         self._reads: dict[Path, _Read] = {}
+        self._readings: dict[Path, _Reading] = {}
         self._sites: dict[Path, tuple[Stamp | None, Site]] = {}  # the one asked last is the last
         self._reading, self._looking = threading.Lock(), threading.Lock()
         self._opening: dict[Path, threading.Lock] = {}
@@ -168,29 +196,39 @@ class Runs:
         return {"table": table, "digest": sha256(table.encode()).hexdigest()[:16]}
 
     def _read(self, folder: Path) -> _Read:
-        """The run folder as it is, or as it was if it has not changed or was read a moment ago."""
+        """The run folder as it is; as it was if it has not changed, was read a moment ago or takes long to read."""
         before, stamp, now = self._reads.get(folder), _stamp(folder), time.monotonic()
         if before is not None and (before.stamp == stamp or now < before.at + before.seconds / _SHARE):
             if before.status is None or before.status.is_running == (running := is_being_written(folder)):
                 return before
             return before._replace(status=replace(before.status, is_running=running))
-        status, fault = None, ""
-        try:
-            status = read_status(folder)
-        except (ActivefailError, OSError) as error:
-            fault = str(error)
-        return _Read(stamp or (), status, fault, now, time.monotonic() - now)
+        if (reading := self._readings.get(folder)) is None:
+            reading = self._readings[folder] = _Reading(folder, stamp or ())
+            reading.start()
+        reading.join(max(0.0, reading.begun + _PATIENCE - now))
+        if reading.read is None:
+            return before or _Read((), None, f"not read yet: this takes more than {_PATIENCE:g} s", now, 0.0)
+        del self._readings[folder]
+        return reading.read
 
 
 def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
     """What the table shows of a run folder; `most` is where the learning curves end."""
-    row = {"name": folder.name, "address": f"run/{quote(os.fsencode(folder.name), safe='')}/", "fault": read.fault}
-    if (status := read.status) is None:
-        return row | {"state": "unreadable", "can_open": False, "title": ""}
+    row, fault = {"name": folder.name, "address": f"run/{quote(os.fsencode(folder.name), safe='')}/"}, read.fault
+    try:
+        if read.status is not None:
+            return row | _cells(read.status, most)
+    except Exception as error:  # what a stranger's record may hold
+        fault = f"cannot be shown: {visible(description_of(error))}"
+    return row | {"state": "unreadable", "can_open": False, "title": "", "fault": fault}
+
+
+def _cells(status: Status, most: int) -> dict[str, Any]:
+    """The cells of the row of a run folder."""
     summary, settings = status.summary, status.summary.settings
     has_curve = settings.validation.size or settings.probability_rule is not None
     counts = summary.counts.tolist()
-    return row | {
+    return {
         "state": status.state,
         "title": settings.description,
         "done": summary.done,

@@ -16,7 +16,8 @@ from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.record.asked import Asked, bits_of
 from activefail.record.batch import GIVEN, Batch
-from activefail.record.store import Store
+from activefail.record.labels import Labels, new_labels
+from activefail.record.store import NOTHING, Remembered, Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 
@@ -49,9 +50,14 @@ def _rows_of(campaign: Campaign, results: Results) -> Iterator[dict[int, str]]:
         raise RowsError(reasons, campaign, results)
 
 
-def record(store: Store, designs: Asked, results: Results) -> None:
+def record(store: Store, designs: Asked, results: Results, also: Remembered = NOTHING) -> None:
     """Record the results of designs in flight; they are durable once this returns."""
-    store.commit(Batch(store.asked.next_iteration, designs.id, designs.designs, designs.origin, results))
+    store.commit(Batch(store.asked.next_iteration, designs.id, designs.designs, designs.origin, results), also)
+
+
+def _remember(store: Store, also: Remembered) -> None:
+    for of, value in also.items():
+        store.remember(of, value)
 
 
 def tell(
@@ -61,6 +67,7 @@ def tell(
     results: Results,
     before_commit: Callable[[], None] = lambda: None,
     simulated: Array | None = None,
+    labels: Labels = (),
 ) -> int:
     """Record the results of designs that were handed out; they are durable once this returns.
 
@@ -71,6 +78,7 @@ def tell(
         results: of the n designs.
         before_commit: called once the results are checked; nothing is recorded if it raises.
         simulated: (n, d) designs that were simulated in place of those that were handed out; None if these were.
+        labels: by name, of the n simulations, recorded in the same write; or none.
 
     Returns:
         Number of new results. A result that was told before is not counted.
@@ -82,12 +90,15 @@ def tell(
     handed = HandedOut.of(store)
     new = new_results(campaign, ids, results, handed)
     before_commit()
-    if new:
+    also = new_labels(store, ids.tolist(), labels)
+    if not new:
+        _remember(store, also)
+    else:
         numbers = sorted(new)
         designs, rows = handed.asked[np.searchsorted(handed.asked.id, numbers)], [new[number] for number in numbers]
         if simulated is not None:
             designs = replace(designs, designs=simulated[rows])
-        record(store, designs, results[np.array(rows)])
+        record(store, designs, results[np.array(rows)], also)
     return len(new)
 
 
@@ -124,6 +135,7 @@ def correct(
     ids: NDArray[np.int64],
     results: Results,
     before_commit: Callable[[], None] = lambda: None,
+    labels: Labels = (),
 ) -> int:
     """Replace recorded results that were wrong; the corrections are durable, all of them, once this returns.
 
@@ -131,7 +143,7 @@ def correct(
     former results stay in the record.
 
     Args:
-        campaign, store, before_commit: as for `tell`.
+        campaign, store, before_commit, labels: as for `tell`.
         ids: (n,) of simulations with a result, told, given or simulated by the loop.
         results: of the n simulations.
 
@@ -155,9 +167,12 @@ def correct(
                 reasons[row] = f"id {number} has no result to correct ({way})"
     wrong = [one for one, row in rows.items() if not _is_same(handed.history, recorded[one], results, row)]
     before_commit()
-    if wrong:
+    also = new_labels(store, ids.tolist(), labels)
+    if not wrong:
+        _remember(store, also)
+    else:
         places = np.array([recorded[number] for number in wrong], dtype=np.int64)
-        store.correct(places, results[np.array([rows[number] for number in wrong])])
+        store.correct(places, results[np.array([rows[number] for number in wrong])], also)
     return len(wrong)
 
 
@@ -204,7 +219,12 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
 
 
 def add(
-    campaign: Campaign, store: Store, X: Array, results: Results, before_commit: Callable[[], None] = lambda: None
+    campaign: Campaign,
+    store: Store,
+    X: Array,
+    results: Results,
+    before_commit: Callable[[], None] = lambda: None,
+    labels: Labels = (),
 ) -> int:
     """Record simulations that were not asked for; they are durable once this returns.
 
@@ -215,7 +235,7 @@ def add(
         store: its record, open for writing.
         X: (n, d) designs.
         results: of the n designs.
-        before_commit: as for `tell`.
+        before_commit, labels: as for `tell`.
 
     Returns:
         Number of new simulations. One that is recorded already with this result is not counted, unless the simulator
@@ -231,6 +251,7 @@ def add(
     in_flight = dict(zip(bits_of(handed.in_flight.designs), handed.in_flight.id.tolist(), strict=True))
     recorded: dict[bytes | int, int] = {design: row for row, design in enumerate(bits_of(history.designs))}
     new: dict[bytes | int, int] = {}
+    ids, place_of, first = [], dict[bytes | int, int](), handed.next_id
     with _rows_of(campaign, results) as reasons:
         for row, design in enumerate(bits_of(X)):
             known: History | Results
@@ -241,15 +262,20 @@ def add(
             if own in recorded:
                 known, place = history, recorded[design]
                 where = f"as id {history.id[place]} ({_CORRECTING})"
+                ids.append(int(history.id[place]))
             else:
+                ids.append(first + place_of.setdefault(own, len(new)))
                 known, place, where = results, new.setdefault(own, row), "in an earlier row"
             if not _is_same(known, place, results, row):
                 reasons[row] = f"the same design has the result {_shown(campaign, known, place)} {where}{_IF_NOISY}"
     before_commit()
-    if new:
-        rows, ids = np.array(list(new.values())), handed.next_id + np.arange(len(new))
+    also = new_labels(store, ids, labels)
+    if not new:
+        _remember(store, also)
+    else:
+        rows, new_ids = np.array(list(new.values())), first + np.arange(len(new))
         origin = np.full(len(rows), GIVEN, dtype=np.int8)
-        store.commit(Batch(handed.asked.next_iteration, ids, X[rows], origin, results[rows]))
+        store.commit(Batch(handed.asked.next_iteration, new_ids, X[rows], origin, results[rows]), also)
     return len(new)
 
 

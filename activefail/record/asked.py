@@ -11,11 +11,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.record.batch import ACTIVE, CHECK, INITIAL
+from activefail.record.batch import ACTIVE, CHECK, INITIAL, LARGEST_ID
 from activefail.space import Array
-
-_LARGEST_ID = 2**53
-"""Largest id and iteration: a float holds it too, as it must in a table."""
 
 NEVER = -1
 """In place of the iteration that a proposal learned from, for a design of the initial design."""
@@ -97,13 +94,12 @@ class Asked:
         return bool(
             np.isfinite(self.designs).all()
             and (self.id >= 0).all()
-            and (self.id <= _LARGEST_ID).all()
+            and (self.id <= LARGEST_ID).all()
             and (np.diff(self.id) > 0).all()
             and np.isin(self.origin, (INITIAL, ACTIVE, CHECK)).all()
             and np.isin(self.loop, (0, 1)).all()
             and np.isin(self.dropped, (0, 1)).all()
             and (self.learned >= NEVER).all()
-            and (self.learned <= _LARGEST_ID).all()
         )
 
     @property

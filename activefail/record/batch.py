@@ -25,6 +25,9 @@ GIVEN = 3
 """Origin of a design that the campaign did not ask for."""
 
 
+LARGEST_ID = 2**53
+"""Largest id and iteration: a float holds it too, as it must in a table."""
+
 # Little-endian on every machine: the digests are computed from these bytes.
 COLUMNS = {
     "id": "<i8",
@@ -154,14 +157,21 @@ def batch_of(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
     return Batch(iteration, columns["id"], columns["designs"], columns["origin"], results_of(columns))
 
 
-def check_rows(batch: Batch) -> None:
-    """Check the ids and origins of a batch.
+def check_rows(batch: Batch, before: int) -> None:
+    """Check the iteration of a batch, and its ids and origins.
+
+    Args:
+        batch: the batch.
+        before: iteration of the batch before it; −1 if there is none.
 
     Raises:
-        InputError: if they have another type, or an id is negative or occurs twice.
+        InputError: if the iteration is neither this one nor the next; if ids or origins have another type; or if an id
+            is negative, too large or occurs twice.
     """
+    if not max(before, 0) <= batch.iteration <= before + 1:
+        raise InputError(f"`{max(before, 0)} <= iteration <= {before + 1}` must hold, got {batch.iteration}.")
     for name, column in (("id", batch.id), ("origin", batch.origin)):
         if column.dtype != np.dtype(COLUMNS[name]):
             raise InputError(f"`{name}` must be {np.dtype(COLUMNS[name]).name}, got {column.dtype}.")
-    if (batch.id < 0).any() or len(np.unique(batch.id)) < len(batch):
-        raise InputError(f"`id` must be different numbers from 0 on, got {batch.id.tolist()}.")
+    if (batch.id < 0).any() or (batch.id > LARGEST_ID).any() or len(np.unique(batch.id)) < len(batch):
+        raise InputError(f"`id` must be different numbers from 0 to {LARGEST_ID}, got {batch.id.tolist()}.")

@@ -24,8 +24,8 @@ MAGIC = b"activefail "
 TYPES: dict[str, np.dtype[Any]] = {"<f8": np.dtype("<f8"), "<i8": np.dtype("<i8"), "|i1": np.dtype("i1")}
 """The types of arrays in a record; little-endian on every machine."""
 
-_LONGEST_LINE = 10_000_000
-"""Most bytes of a line: more than the settings of a campaign."""
+_DEEPEST = 100
+"""Most lists and objects, one in the other, in the attributes of an event."""
 
 _LINE = re.compile(rb"activefail ([0-9a-f]{64}) (\d{1,15}) ")
 
@@ -93,6 +93,8 @@ def head(
 ) -> tuple[bytes, str, str]:
     """The line of an entry with this body, of `length` bytes if given; and the two digests of `pack`."""
     text = json.dumps([kind, attributes, types], separators=(",", ":")).encode()
+    # A reader looks for this where an entry was cut, to see whether others follow it.
+    text = text.replace(MAGIC, MAGIC.replace(b" ", rb"\u0020"))
     start = f"{sum(map(len, body))} ".encode()
     fixed = len(MAGIC) + 64 + 1 + len(start) + 1
     line = start + text.ljust((length or _rounded(fixed + len(text))) - fixed) + b"\n"
@@ -110,7 +112,7 @@ def unpack(data: bytes, at: int, before: str) -> Entry:
     Raises:
         DamagedError: if it is incomplete or altered, or has content that activefail never writes.
     """
-    end = data.find(b"\n", at, at + _LONGEST_LINE) + 1
+    end = data.find(b"\n", at) + 1
     found = _LINE.match(data, at, max(at, end))
     if not end or (found is not None and end + int(found[2]) > len(data)):
         raise DamagedError("is incomplete")
@@ -120,6 +122,8 @@ def unpack(data: bytes, at: int, before: str) -> Entry:
         raise DamagedError("is altered")
     try:
         kind, attributes, types = json.loads(data[found.end() : end])
+        if not is_bounded(attributes):
+            raise ValueError(kind)
         arrays = {}
         for name, dtype, shape, place in types:
             if min(place, *shape, 0) < 0 or end + place + math.prod(shape) * TYPES[dtype].itemsize > stop:
@@ -128,6 +132,19 @@ def unpack(data: bytes, at: int, before: str) -> Entry:
         return Entry(Event(str(kind), dict(attributes), arrays), found[1].decode(), content, stop)
     except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError):
         raise DamagedError("has content that activefail never writes") from None
+
+
+def is_bounded(value: Any) -> bool:
+    """Whether a value of JSON is nested at most `_DEEPEST` deep, and its whole numbers have at most 64 bits."""
+    level = [value]
+    for _ in range(_DEEPEST):
+        if any(isinstance(one, int) and not -(2**63) <= one < 2**63 for one in level):
+            return False
+        several = [one for one in level if isinstance(one, dict | list)]
+        level = [part for one in several for part in (one.values() if isinstance(one, dict) else one)]
+        if not level:
+            return True
+    return False
 
 
 def _joined(before: str, content: str) -> str:

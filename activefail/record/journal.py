@@ -108,10 +108,16 @@ class Journal:
         """Write the first line and the first event of a new campaign, over what an interrupted creation left.
 
         Raises:
-            InputError: if the journal has later events.
+            InputError: if the journal has later events, or the file is none of activefail's.
             StoreError: if it cannot be written.
         """
-        if len(_ENTRY.findall(self._read())) > 1:
+        data = self._read()
+        # A loss of power may leave zeros.
+        if data.strip(b"\0") and not data.startswith(FIRST_LINE):
+            raise InputError(
+                f"{self.path.parent} is not empty: its {JOURNAL} was not written by activefail. Choose another folder."
+            )
+        if len(_ENTRY.findall(data)) > 1:
             raise InputError(f"{self.path.parent} is not empty: its {JOURNAL} holds a campaign. Choose another folder.")
         try:
             os.ftruncate(self._descriptor, 0)
@@ -194,6 +200,11 @@ class Journal:
 
     def _write(self, parts: Sequence[bytes]) -> None:
         data = b"".join(parts)
+        if self._end + len(data) > LARGEST_JOURNAL:
+            raise StoreError(
+                f"Cannot write {self.path}: it would be larger than {LARGEST_JOURNAL} bytes, and could not be read "
+                "again. Existing data is intact. Continue in a new campaign."
+            )
         try:
             # Without locks, or after a write that could not be undone.
             if os.fstat(self._descriptor).st_size != self._end:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
-from activefail.record.asked import Asked
+from activefail.record.asked import NEVER, Asked
 from activefail.record.batch import Batch, Schema, answers_of, batch_of, check_rows, columns_of, results_of
 from activefail.record.checkpoint import State, States
 from activefail.record.corrections import Corrections, correct_batches, correcting
-from activefail.record.events import Event, of_arrays
-from activefail.record.store import check_asked, check_set, checked_state
+from activefail.record.events import Event, is_bounded, of_arrays
+from activefail.record.store import NOTHING, Remembered, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -88,8 +88,7 @@ class MemoryStore:
                 self._made_by = {str(name): str(text) for name, text in of.items()}
             case "batch":
                 batch = batch_of(int(of["iteration"]), arrays)
-                self.schema.check(batch.designs, batch.results)
-                check_rows(batch)
+                self._check(batch)
                 self._batches.append(batch)
                 self._chain.append(hashlib.sha256(f"{self._chain[-1]}{content}".encode()).hexdigest())
                 self._tuple = None
@@ -120,6 +119,16 @@ class MemoryStore:
         return self._schema
 
     @property
+    def _iteration(self) -> int:
+        """The iteration of the last batch; NEVER if there is none."""
+        return self._batches[-1].iteration if self._batches else NEVER
+
+    def _check(self, batch: Batch) -> None:
+        """Raise InputError if the next batch breaks a rule."""
+        self.schema.check(batch.designs, batch.results)
+        check_rows(batch, self._iteration)
+
+    @property
     def digest(self) -> str:
         """A digest of all batches and corrections."""
         return self._known(float("inf"))
@@ -139,11 +148,11 @@ class MemoryStore:
             self._tuple = tuple(self._batches)
         return self._tuple
 
-    def commit(self, batch: Batch) -> None:
+    def commit(self, batch: Batch, also: Remembered = NOTHING) -> None:
         """Append a batch (see Store)."""
-        self._writable().check(batch.designs, batch.results)
-        check_rows(batch)
-        self._record(of_arrays("batch", columns_of(batch), iteration=batch.iteration))
+        self._writable()
+        self._check(batch)
+        self._record(of_arrays("batch", columns_of(batch), iteration=batch.iteration), *_remembering(also))
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
@@ -184,7 +193,7 @@ class MemoryStore:
 
     def hand_out(self, designs: Asked) -> None:
         """Keep designs that are handed out (see Store)."""
-        check_asked(designs, self._writable())
+        check_asked(designs, self._writable(), self._iteration)
         if len(designs) and int(self._handed_out.id.max(initial=-1)) >= designs.id[0]:
             raise InputError(f"Designs that are handed out need new ids, got {designs.id.tolist()}.")
         self._record(of_arrays("asked", vars(designs)))
@@ -201,10 +210,10 @@ class MemoryStore:
             self._corrections = [Corrections.joined(self._corrections)]
         return deepcopy(self._corrections[0])
 
-    def correct(self, place: NDArray[np.int64], results: Results) -> None:
+    def correct(self, place: NDArray[np.int64], results: Results, also: Remembered = NOTHING) -> None:
         """Replace results of the batches (see Store)."""
         new = correcting(self._batches, place, results, self._writable())
-        self._record(of_arrays("corrected", {"place": new.place, **answers_of(results)}))
+        self._record(of_arrays("corrected", {"place": new.place, **answers_of(results)}), *_remembering(also))
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""
@@ -222,11 +231,11 @@ class MemoryStore:
     def remember(self, identity: tuple[str, ...], value: Any) -> None:
         """Keep a computed result (see Store)."""
         self._writable()
-        self._record(Event("result", {"of": list(identity), "value": json.loads(json.dumps(value))}, {}))
+        self._record(*_remembering({identity: value}))
 
     def recall(self, identity: tuple[str, ...]) -> Any:
         """A computed result, or None (see Store)."""
-        return deepcopy(self._results.get(identity))
+        return _copied(self._results.get(identity))
 
     def close(self) -> None:
         """Refuse further writing."""
@@ -237,3 +246,16 @@ class MemoryStore:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def _remembering(results: Remembered) -> list[Event]:
+    events = [Event("result", {"of": [*of], "value": _copied(value)}, {}) for of, value in results.items()]
+    for event in events:
+        if not is_bounded(event.attributes):
+            raise ValueError(f"{event.attributes['of']} is nested too deep, or has a number of more than 64 bits.")
+    return events
+
+
+def _copied(value: Any) -> Any:
+    """A copy of a value of JSON, made several times as fast as by `deepcopy`."""
+    return json.loads(json.dumps(value))

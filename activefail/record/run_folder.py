@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from activefail import __version__
 from activefail.errors import InputError, StoreError, SyncError
-from activefail.files import TEMPORARY, make_folder, replace
+from activefail.files import is_temporary, make_folder, replace
 from activefail.record.batch import Schema
 from activefail.record.checkpoint import LARGEST_CHECKPOINT, States, decode, encode, load_hdf5
 from activefail.record.events import Event
@@ -47,7 +47,7 @@ def check_empty(folder: Path, what: str, instead: str) -> None:
         OSError: if the folder cannot be read.
     """
     entries = sorted(os.listdir(folder)) if folder.exists() else []
-    foreign = [name for name in entries if name != JOURNAL and not name.startswith(TEMPORARY)]
+    foreign = [name for name in entries if name != JOURNAL and not is_temporary(name)]
     if foreign:
         raise InputError(
             f"{folder} is not empty (it holds {visible(foreign[0])}): a new {what} needs a new folder. {instead}"
@@ -101,10 +101,13 @@ class FolderStore(MemoryStore):
 
         Raises:
             BusyError: if another process is creating the folder.
-            InputError: if the folder is not empty or cannot exist at this path; nothing is changed.
+            InputError: if the folder is not empty or cannot exist at this path, or the settings are too long; nothing
+                is changed.
             StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
+        if (size := len(settings.encode())) > LARGEST_SETTINGS:
+            raise InputError(f"{folder}: {SETTINGS} must have at most {LARGEST_SETTINGS} bytes, would have {size}.")
         try:
             check_empty(folder, "campaign", "If it holds a campaign, resume that; otherwise choose another folder.")
             make_folder(folder)
@@ -171,7 +174,7 @@ class FolderStore(MemoryStore):
         try:
             for entry in self._journal.entries():
                 self._take(entry.event, entry.content)
-            check_asked(self._handed_out, self.schema)
+            check_asked(self._handed_out, self.schema, self._iteration)
         except StoreError:
             raise
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -200,7 +203,7 @@ class FolderStore(MemoryStore):
         self._check_place()
         try:
             for name in os.listdir(self.folder):
-                if name.startswith(TEMPORARY):
+                if is_temporary(name):
                     os.unlink(self.folder / name)
         except OSError as error:
             raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error

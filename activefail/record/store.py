@@ -14,6 +14,11 @@ from activefail.record.corrections import Corrections
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
+Remembered = Mapping[tuple[str, ...], Any]
+"""Computed results: values of JSON by what they are of."""
+
+NOTHING: Remembered = {}
+
 
 class Store(Protocol):
     """The record of a campaign: batches, states of what was learned, and sets of designs outside the budget.
@@ -52,11 +57,16 @@ class Store(Protocol):
         """
         ...
 
-    def commit(self, batch: Batch) -> None:
-        """Append a batch; it is durable when this returns.
+    def commit(self, batch: Batch, also: Remembered = NOTHING) -> None:
+        """Append a batch, and computed results in the same write; they are durable when this returns.
+
+        Args:
+            batch: the batch.
+            also: results to `remember`, by identity.
 
         Raises:
-            InputError: if the batch does not match the store's schema.
+            InputError: if the batch does not match the store's schema, or has neither the iteration of the last batch
+                nor the next one.
             StoreError: if it cannot be written, or the store may not write; no reader ever sees a part of it.
         """
         ...
@@ -106,7 +116,8 @@ class Store(Protocol):
         """Keep designs that are handed out; they are durable when this returns.
 
         Raises:
-            InputError: if they have another number of variables, or ids that are not larger than all before.
+            InputError: if they have another number of variables, or ids that are not larger than all before; or if they
+                were learned from an iteration without a batch.
             StoreError: if they cannot be written, or the store may not write.
         """
         ...
@@ -124,7 +135,7 @@ class Store(Protocol):
         """The corrections of the batches, in the order in which they were made."""
         ...
 
-    def correct(self, place: NDArray[np.int64], results: Results) -> None:
+    def correct(self, place: NDArray[np.int64], results: Results, also: Remembered = NOTHING) -> None:
         """Replace results of committed batches; durable, all or none of them, when this returns.
 
         `batches` has the new results from then on; `corrections` keeps the former ones. States that were learned from
@@ -133,6 +144,7 @@ class Store(Protocol):
         Args:
             place: (k,) of the simulations in the record, from 0; k ≥ 1.
             results: the k new results.
+            also: as for `commit`.
 
         Raises:
             InputError: if there is none, a place is not one of the record or occurs twice, or a result does not match
@@ -174,7 +186,8 @@ class Store(Protocol):
             value: of JSON; tuples become lists.
 
         Raises:
-            TypeError: if it is not a value of JSON.
+            TypeError, ValueError: if it is not a value of JSON, is nested too deep or has a whole number of more than
+                64 bits.
             StoreError: if it cannot be written, or the store may not write; the older result stays.
         """
         ...
@@ -208,14 +221,16 @@ def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[st
     return state
 
 
-def check_asked(asked: Asked, schema: Schema) -> None:
-    """Raise InputError if designs that were handed out break a rule."""
+def check_asked(asked: Asked, schema: Schema, iteration: int) -> None:
+    """Raise InputError if designs that were handed out, in a record up to an iteration, break a rule."""
     if not asked.is_valid:
         raise InputError("Designs that were handed out need finite values, increasing ids and known origins.")
     if asked.designs.shape[1] != len(schema.variables):
         raise InputError(
             f"`designs` must have {len(schema.variables)} columns {schema.variables}, got {asked.designs.shape[1]}."
         )
+    if asked.next_iteration > iteration + 1:
+        raise InputError(f"`learned <= {iteration}` must hold, got {asked.next_iteration - 1}.")
 
 
 def check_set(name: str, X: Array, results: Results, schema: Schema) -> None:

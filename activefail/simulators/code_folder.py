@@ -37,11 +37,17 @@ class _FolderFinder:
         self.folder = folder
         self.sources: dict[Path, str] = {}
         self._modules: set[str] = set()
+        self._loaded: dict[str, ModuleType] = {}
+        self._added = False
+
+    def enter(self) -> None:
+        """Put the finder and the folder into Python's search, with the modules that it found before."""
         # A folder that is already on the path keeps its place.
-        self._added = str(folder) not in sys.path
+        self._added = str(self.folder) not in sys.path
         if self._added:
-            sys.path.append(str(folder))
+            sys.path.append(str(self.folder))
         sys.meta_path.insert(sys.meta_path.index(PathFinder), self)
+        sys.modules.update(self._loaded)
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -58,11 +64,10 @@ class _FolderFinder:
             spec.loader = SourceLoader(spec.loader.name, spec.loader.path)
         return spec
 
-    def remove(self) -> None:
-        """Remove the finder and the folder from Python's search, and unload the modules that it found."""
-        for name in list(sys.modules):
-            if name.partition(".")[0] in self._modules:
-                del sys.modules[name]
+    def leave(self) -> None:
+        """Take the finder and the folder out of Python's search, with the modules that it found."""
+        found = [name for name in sys.modules if name.partition(".")[0] in self._modules]
+        self._loaded = {name: sys.modules.pop(name) for name in found}
         if self._added and str(self.folder) in sys.path:
             sys.path.remove(str(self.folder))
         sys.meta_path.remove(self)
@@ -80,6 +85,9 @@ _LOADERS = {"import_module", "__import__", "run_module", "run_path", "spec_from_
 _compiled: dict[Path, str] = {}
 """Digests of the compiled modules that this process has loaded."""
 
+_finders: dict[Path, _FolderFinder] = {}
+"""By their folders."""
+
 
 def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
     """Make the modules of a folder importable, in place of those of the previous folder.
@@ -96,16 +104,22 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
     for path, digest in sources.items():
         if path.suffix != ".py" and _compiled.setdefault(path, digest) != digest:
             raise ImportError(f"{path} has changed since this process loaded it; start Python again")
-    finder = next((finder for finder in sys.meta_path if isinstance(finder, _FolderFinder)), None)
-    if finder is not None:
-        changed = any(finder.sources.get(path, digest) != digest for path, digest in sources.items())
-        if changed or finder.folder != folder:
-            finder.remove()
-            finder = None
-    if finder is None:
-        finder = _FolderFinder(folder)
+    finder = _finders.setdefault(folder, _FolderFinder(folder))
+    if any(finder.sources.get(path, digest) != digest for path, digest in sources.items()):
+        finder = _finders[folder] = _FolderFinder(folder)
     finder.sources.update(sources)
+    use(folder)
     importlib.invalidate_caches()
+
+
+def use(folder: Path) -> None:
+    """Make the modules of a folder importable again, those that were loaded as they are."""
+    finder = _finders[folder]
+    if finder in sys.meta_path:
+        return
+    for other in [other for other in sys.meta_path if isinstance(other, _FolderFinder)]:
+        other.leave()
+    finder.enter()
 
 
 # --- sources ------------------------------------------------------------------------------------------------------

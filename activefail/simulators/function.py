@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 from activefail.errors import ActivefailError, InputError, description_of
-from activefail.simulators.code_folder import import_from
 from activefail.simulators.interface import Results
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function, not_permitted
@@ -80,9 +79,6 @@ class PythonSimulator:
         """
         _loaded(self.reference, self.code, self.source, self.folder)
         read_objects(self.space)
-        if self.code is not None:
-            # For imports at run time: another simulator may have been prepared since the module was loaded.
-            import_from(self.code, {})
 
     def run(self, X: Array) -> Results:
         """Simulate designs, (n, d), one after the other.

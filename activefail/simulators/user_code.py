@@ -7,12 +7,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from activefail.errors import InputError, description_of
-from activefail.simulators.code_folder import SourceLoader, digest_of, file_of, import_from, sha256, sources_of
+from activefail.simulators.code_folder import SourceLoader, digest_of, file_of, import_from, sha256, sources_of, use
 from activefail.visible import visible
 
 SIMULATOR_KEY, COMMAND_KEY = "simulator.python", "simulator.command"
@@ -78,7 +79,19 @@ def load_function(
     function = getattr(module, name, None)
     if not callable(function):
         raise InputError(f"{key}: {module.__file__ or module_name} has no function {name!r}.")
-    return function, digest
+    return _importing_from(code, function), digest
+
+
+def _importing_from(code: Path, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function whose imports at run time are of its own folder, whatever was loaded since."""
+
+    @wraps(function, updated=())
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with _loading:
+            use(code)
+            return function(*args, **kwargs)
+
+    return call
 
 
 def not_permitted(key: str, code: str) -> InputError:

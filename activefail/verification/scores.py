@@ -167,10 +167,13 @@ def last_error(store: Store) -> Mapping[str, Any] | None:
 
 
 def fits(value: Any, shape: Any) -> bool:
-    """Whether a kept value is of a type, or a dict with values of these shapes, by key; other versions' may not be."""
+    """Whether a kept value is of a type, or a dict with values of these shapes, by key; other versions' may not be.
+
+    No number is of any use that is as large as `_LARGEST`.
+    """
     if isinstance(shape, dict):
         return isinstance(value, dict) and all(key in value and fits(value[key], one) for key, one in shape.items())
-    return isinstance(value, shape)
+    return isinstance(value, shape) and not (isinstance(value, Real) and abs(value) >= _LARGEST)
 
 
 def keep(store: Store, of: tuple[str, ...], value: Any) -> None:
@@ -209,14 +212,18 @@ def learning_curve(store: Store) -> list[CurvePoint]:
         return []
     rows = (store.recall((_POINT, str(k))) for k in range(store.batches[-1].iteration + 1))
     try:
-        return [_point(*row) for row in filter(None, rows)]
-    except (AttributeError, LookupError, TypeError, ValueError):
+        points = [_point(*row) for row in filter(None, rows)]
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return []
+    known = sum(map(len, store.batches))
+    return points if all(0 < point.simulations <= known for point in points) else []
 
 
 def _point(simulations: Any, score: Any, probability: Any) -> CurvePoint:
-    of = probability and (float(probability[0]), float(probability[1]), float(probability[2]))
-    return CurvePoint(int(simulations), score and score_of(score), of)
+    of = None if probability is None else (float(probability[0]), float(probability[1]), float(probability[2]))
+    return CurvePoint(int(simulations), None if score is None else score_of(score), of)
 
 
 _POINT = "learning curve"
+
+_LARGEST = 2.0**63

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
-from activefail.record.asked import Asked
+from activefail.record.asked import NEVER, Asked
 from activefail.record.batch import ACTIVE, INITIAL, Batch, Schema
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
@@ -273,7 +273,7 @@ def test_a_state_is_skipped_once_its_iteration_has_another_batch(kind: Kind) -> 
 
 def asked(*ids: int) -> Asked:
     designs = np.random.default_rng(len(ids)).normal(size=(len(ids), 2))
-    return Asked.of(np.array(ids, dtype=np.int64), designs, ACTIVE, 3)
+    return Asked.of(np.array(ids, dtype=np.int64), designs, ACTIVE, NEVER)
 
 
 def asked_bits(one: Asked) -> list[object]:
@@ -391,6 +391,33 @@ def test_a_batch_whose_shapes_do_not_agree_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match="got"):
         Batch(iteration, np.arange(3), designs, origin, results(3, 0))
+
+
+def test_results_kept_with_a_batch_or_a_correction_come_back(kind: Kind) -> None:
+    kind.store.commit(batch(3, 0), {("a",): 1, ("b", "c"): {"d": [None, 0.1]}})
+    kind.store.correct(np.array([1]), results(1, 7), {("a",): 2})
+    store = kind.reopen()
+    assert (store.recall(("a",)), store.recall(("b", "c"))) == (2, {"d": [None, 0.1]})
+    assert (len(store.batches), len(store.corrections)) == (1, 1)
+
+
+def test_a_batch_is_of_the_iteration_of_the_last_one_or_of_the_next(kind: Kind) -> None:
+    for before, good in ((None, 0), (0, 1), (1, 1), (1, 2)):
+        allowed = "0 <= iteration <= 0" if before is None else f"{before} <= iteration <= {before + 1}"
+        for wrong in {0, 1, 2, 3, 10**12} - {good, before, (before or 0) + (before is not None)}:
+            with pytest.raises(InputError, match=f"`{allowed}` must hold, got {wrong}"):
+                kind.store.commit(batch(2, 9, wrong))
+        kind.store.commit(batch(2, 2 * len(kind.store.batches), good))
+    assert [one.iteration for one in kind.reopen().batches] == [0, 1, 1, 2]
+
+
+def test_designs_are_learned_from_an_iteration_of_the_record(kind: Kind) -> None:
+    for learned in (0, 10**12):
+        with pytest.raises(InputError, match=f"`learned <= -1` must hold, got {learned}"):
+            kind.store.hand_out(replace(asked(4), learned=np.array([learned])))
+    kind.store.commit(batch(2, 0))
+    kind.store.hand_out(replace(asked(4), learned=np.array([0])))
+    assert kind.reopen().asked.learned.tolist() == [0]
 
 
 def test_a_batch_without_designs_is_refused() -> None:

@@ -21,6 +21,7 @@ from activefail.explorer.runs import Runs, run_folders
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import findings_of
 from activefail.findings.status import estimate_of, read_status
+from activefail.json_text import json_text
 from activefail.loop.learning import current
 from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
@@ -103,6 +104,17 @@ def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, fol
     assert run_folders(folder / NAME) == []
 
 
+def with_result(folder: Path, key: str, value: object) -> None:
+    campaign = disc()
+    with FolderStore.open(folder, campaign.schema, write=True) as store:
+        of = {
+            "error": error_of(store.digest),
+            "estimate": estimate_of(campaign.simulator.outcomes[-1], store.digest),
+            "curve": ("learning curve", str(store.batches[-1].iteration)),
+        }
+        store.remember(of[key], value)
+
+
 ESTIMATE = dict.fromkeys(
     ("probability", "low", "high", "confidence", "simulations", "recall_low", "contradictions_where_sure"), 0.5
 ) | {"extrapolated": False, "question": None, "check": None}
@@ -122,14 +134,7 @@ ESTIMATE = dict.fromkeys(
     ],
 )
 def test_a_kept_result_of_a_shape_that_this_version_does_not_write_is_left_out(runs, folder, key, value):
-    campaign = disc()
-    with FolderStore.open(folder / NAME, campaign.schema, write=True) as store:
-        of = {
-            "error": error_of(store.digest),
-            "estimate": estimate_of(campaign.simulator.outcomes[-1], store.digest),
-            "curve": ("learning curve", str(store.batches[-1].iteration)),
-        }
-        store.remember(of[key], value)
+    with_result(folder / NAME, key, value)
     status = read_status(folder / NAME)
     assert (status.error, status.estimates, len(status.curve) > 1) == (None, {}, key != "curve")
     assert not {"error", "estimate"} & set(dict(status.lines))
@@ -141,6 +146,75 @@ def test_a_kept_estimate_is_shown_as_it_was_written(folder):
     with FolderStore.open(folder / NAME, campaign.schema, write=True) as store:
         store.remember(estimate_of(campaign.simulator.outcomes[-1], store.digest), ESTIMATE)
     assert [*read_status(folder / NAME).estimates.values()] == [ESTIMATE]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("curve", [n, None, [0.5, 0.4, 0.6]]) for n in (0, -3, 10**15, float("inf"), float("nan"), True)),
+        *(("curve", [28, None, [p, 0.0, 1.0]]) for p in (1e308, float("-inf"), float("nan"), -1.0)),
+        *(("curve", [28, of, None]) for of in (0, [], {}, 1e308)),
+        *(("curve", [28, None, of]) for of in (0, [], {}, "abc")),
+        *(("estimate", {"probability": p}) for p in (1e308, float("inf"), float("nan"), -1e9)),
+        *(("estimate", {"simulations": n}) for n in (2**63 - 1, float("nan"))),
+        *(("error", {"error": p, "low": 0.0, "high": 1.0}) for p in (1e308, float("inf"), float("nan"), -1.0)),
+    ],
+)
+def test_a_number_in_one_folder_does_not_take_the_page_or_another_row_down(runs, folder, key, value):
+    before = rows(runs)
+    others = {"confidence": 0.9, "simulations": 20, "numerical_failures": 1}
+    bases = {"estimate": ESTIMATE, "error": others}
+    with_result(folder / NAME, key, bases[key] | value if key in bases else value)
+    status = read_status(folder / NAME)
+    assert status.lines
+    json_text(status.as_json())
+    text = runs.page("/")
+    assert "campaign" in text
+    after = rows(runs)
+    assert {name: row for name, row in after.items() if name != NAME} == {
+        name: row for name, row in before.items() if name != NAME
+    }
+    # The learning curves share an axis.
+    assert f"{10**15}" not in text
+
+
+def test_a_folder_that_takes_for_ever_to_read_is_a_row_and_appears_once_it_is_read(runs, folder, monkeypatch):
+    may_end, read = threading.Event(), []
+
+    def slow(path: Path):
+        read.append(path.name)
+        if path.name == "stopped":
+            assert may_end.wait(PATIENCE)
+        if path.name == "old":  # the one before it
+            monkeypatch.setattr(all_runs, "_PATIENCE", 0.0)
+        return read_status(path)
+
+    monkeypatch.setattr(all_runs, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(all_runs, "read_status", slow)
+    monkeypatch.setattr(all_runs, "_SHARE", 1e9)
+    first, again = rows(runs), rows(runs)
+    assert (first[NAME]["state"], again[NAME]["state"]) == ("finished", "finished")
+    for shown in (first, again):
+        assert shown["stopped"]["state"] == "unreadable"
+        assert "not read yet: this takes more than" in shown["stopped"]["fault"]
+    assert read.count("stopped") == 1
+    may_end.set()
+    until(lambda: rows(runs)["stopped"]["state"] == "stopped", "the slow folder")
+    assert read.count("stopped") == 1
+
+
+def test_whatever_is_wrong_with_a_folder_is_a_row(runs, folder, monkeypatch):
+    def failing(path: Path):
+        if path.name == "stopped":
+            raise RecursionError("maximum recursion depth exceeded\n\x1b[2J")
+        return read_status(path)
+
+    monkeypatch.setattr(all_runs, "read_status", failing)
+    shown = rows(runs)
+    assert shown[NAME]["state"] == "finished"
+    assert shown["stopped"]["fault"] == r"cannot be read: RecursionError: maximum recursion depth exceeded\n\x1b[2J"
+    monkeypatch.setattr(all_runs, "_answer", lambda status: 1 / 0)
+    assert rows(runs)[NAME]["fault"] == "cannot be shown: ZeroDivisionError: division by zero"
 
 
 def test_a_folder_whose_name_is_no_text_has_a_row_and_a_page(folder):
@@ -228,6 +302,15 @@ def test_a_request_of_an_open_campaign_lists_no_folders(folder, monkeypatch):
     runs.page("/")
     monkeypatch.setattr(all_runs, "run_folders", lambda _: pytest.fail("listed"))
     assert runs.below(NAME, anew=False) is not None
+
+
+@pytest.mark.parametrize("name", ["journal", "checkpoint.h5"])
+def test_a_users_own_file_makes_no_run_folder(tmp_path, name):
+    create_folder(tmp_path / "run", disc()).close()
+    (tmp_path / "notes").mkdir()
+    for place in (tmp_path, tmp_path / "notes"):
+        (place / name).write_text("Monday: began.")
+    assert run_folders(tmp_path) == [tmp_path / "run"]
 
 
 def test_an_emptied_folder_has_no_campaigns(tmp_path):

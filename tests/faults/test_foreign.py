@@ -144,7 +144,7 @@ def test_a_link_in_a_run_folder_is_refused_by_every_command_and_what_it_leads_to
     if there:
         if link.is_dir():
             shutil.copytree(link, victim / "thing")
-            (victim / "thing" / ".tmp-notes").write_text("mine")
+            (victim / "thing" / ".tmp-0123456789abcdef").write_text("mine")
             shutil.copy(victim / "mine.txt", victim / "thing" / "000000099.h5")
         else:
             shutil.copy(link if link.exists() else victim / "mine.txt", victim / "thing")

@@ -36,7 +36,7 @@ def crashed(folder: Path) -> Path:
     begun(folder, COMMITS - 1)
     path = folder / "journal"
     path.write_bytes(path.read_bytes()[:-1])
-    (folder / f"{TEMPORARY}left").write_text("half")
+    (folder / f"{TEMPORARY}{0:016x}").write_text("half")
     return folder
 
 

@@ -36,6 +36,7 @@ from activefail.loop.running import run
 from activefail.loop.telling import add, correct, drop, tell
 from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
+from activefail.record.store import NOTHING, Remembered
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 from activefail.surrogate.latent import VariationalGP
@@ -97,9 +98,9 @@ class Logging(FolderStore):
     log = -1
     lists_commits = True
 
-    def commit(self, batch: Batch) -> None:
+    def commit(self, batch: Batch, also: Remembered = NOTHING) -> None:
         with self.gate.marked("commit"):
-            super().commit(batch)
+            super().commit(batch, also)
         if self.lists_commits:
             self.tell(f"commit {len(self.batches)} {self.digest}")
 

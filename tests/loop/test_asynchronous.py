@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 import signal
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -151,6 +152,52 @@ def test_killed_after_any_event_it_goes_on_to_the_same_campaign(
             take(campaign, store)
             assert kept(store) == kept(uninterrupted)
             assert len(HandedOut.of(store).in_flight) == 0
+
+
+class Paced(ThreadExecutor):
+    """One worker. When an answer is wanted it has simulated all designs in flight, or no more than are answered."""
+
+    def __init__(self, ahead: bool) -> None:
+        super().__init__(1, self.permitted)
+        self.ahead, self.flight, self.permits = ahead, 0, threading.Semaphore(0)
+
+    def permitted(self, simulator: Simulator, X: Array) -> Results:
+        assert self.permits.acquire(timeout=PATIENCE)
+        return simulator.run(X)
+
+    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
+        self.flight += 1
+        if self.ahead:
+            self.permits.release()
+        super().start(simulator, ticket, x)
+
+    def answered(self, seconds: float) -> list[tuple[int, Results]]:
+        if self.ahead:
+            until(lambda: self._done.qsize() == self.flight, "all designs in flight")
+        else:
+            self.permits.release()
+        arrived = super().answered(PATIENCE)
+        self.flight -= len(arrived)
+        return arrived
+
+
+def paced(store: Store, ahead: bool) -> list[tuple[int, bytes, bytes, bytes, bytes]]:
+    with Paced(ahead) as executor:
+        run(plan(batch=3), store, executor, BUDGET)
+    return kept(store)
+
+
+def test_with_one_worker_the_campaign_does_not_depend_on_its_speed_and_goes_on_the_same_after_a_kill(
+    tmp_path: Path,
+) -> None:
+    campaign = plan(batch=3)
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+        slow = paced(store, ahead=False)
+    assert paced(MemoryStore(campaign.schema), ahead=True) == slow
+    for journal in first_events(tmp_path / "run" / "journal")[5::30]:
+        (tmp_path / "run" / "journal").write_bytes(journal)
+        with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+            assert paced(store, ahead=True) == slow
 
 
 def test_a_finished_campaign_has_nothing_in_flight_and_continues_to_a_larger_budget() -> None:

@@ -13,6 +13,7 @@ from record.test_run_folder import STORED, WRITES, written
 from activefail.record.batch import COLUMNS, columns_of
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import EXECUTION_CAUSES
+from activefail.verification import stored_sets
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"
 PAGE = (FOLDER / "run-folder.md").read_text(encoding="utf-8")
@@ -84,6 +85,12 @@ def test_the_page_s_reader_refuses_what_the_program_refuses(reader: SimpleNamesp
     (tmp_path / "run" / "campaign.toml").write_text("seed = 2\n")
     with pytest.raises(ValueError, match="other settings"):
         reader.read_record(tmp_path / "run")
+
+
+def test_the_page_names_every_kind_of_set() -> None:
+    listed = re.findall(r"^    ([a-z]+)(?:-<.*?)?  ", stored_sets.__doc__ or "", re.MULTILINE)
+    sets = PAGE[PAGE.index("The names of sets") : PAGE.index("Results:")]
+    assert {"begun", "validation", "check", *listed} <= {*re.findall(r"`([a-z]+)", sets)}
 
 
 def test_the_page_names_the_columns_causes_and_events_of_the_program() -> None:

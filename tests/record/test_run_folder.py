@@ -216,6 +216,33 @@ def test_a_campaign_is_not_created_over_another_one_even_if_its_settings_are_gon
     assert read(tmp_path / "run") == held
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"mine",
+        b"activefail-journal, format 1".ljust(31) + b"\n",
+        FIRST_LINE[:-1],
+        b"activefail",
+        b"\0mine",
+        b"\n" + FIRST_LINE,
+    ],
+)
+def test_a_users_own_file_named_journal_is_not_written_over(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "journal"
+    path.write_bytes(content)
+    before = snapshot(tmp_path)
+    with pytest.raises(InputError, match=r"its journal was not written by activefail. Choose another folder"):
+        FolderStore.create(tmp_path, SETTINGS, SCHEMA)
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize("content", [b"", bytes(5000), FIRST_LINE, FIRST_LINE + b"activefail 0123"])
+def test_a_campaign_is_created_over_what_an_interrupted_creation_left(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "journal").write_bytes(content)
+    FolderStore.create(tmp_path, SETTINGS, SCHEMA).close()
+    assert read(tmp_path) == []
+
+
 @pytest.fixture
 def place_of_a_user(tmp_path: Path) -> Iterator[Path]:
     """A folder of the user who runs the test. That is not root, who may write everywhere."""
@@ -676,12 +703,22 @@ def test_short_writes_lose_nothing_and_missing_ones_are_noticed(tmp_path: Path, 
 
 def test_temporaries_of_a_crash_are_removed_only_when_opened_to_write(tmp_path: Path) -> None:
     written(tmp_path / "run", 2)
-    left = tmp_path / "run" / ".tmp-0123"
-    left.write_text("half")
+    left, mine = tmp_path / "run" / ".tmp-0123456789abcdef", tmp_path / "run" / ".tmp-notes"
+    for file in (left, mine):
+        file.write_text("half")
     read(tmp_path / "run")
     assert left.exists()
     FolderStore.open(tmp_path / "run", SCHEMA, write=True).close()
     assert not left.exists()
+    assert mine.exists()
+
+
+@pytest.mark.parametrize("name", [".tmp-notes", ".tmp-0123456789ABCDEF", "journal.quarantine", ".tmp-"])
+def test_a_new_campaign_needs_a_folder_without_files_of_the_users(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=f"not empty .it holds {name}"):
+        FolderStore.create(tmp_path, SETTINGS, SCHEMA)
+    assert (tmp_path / name).read_text() == "mine"
 
 
 # Foreign journals
@@ -702,6 +739,14 @@ def columns(n: int = 2, **changed: Any) -> dict[str, Any]:
     return columns_of(batch(n)) | changed
 
 
+def deep(levels: int, around: Callable[[Any], Any] = lambda value: [value]) -> Any:
+    """A value of JSON with so many others around it."""
+    value: Any = 1
+    for _ in range(levels):
+        value = around(value)
+    return value
+
+
 BAD = {
     "an unknown kind": Event("surprise", {}, {}),
     "a batch without an iteration": Event("batch", {}, columns()),
@@ -716,6 +761,15 @@ BAD = {
     "an id twice in a batch": Event("batch", {"iteration": 0}, columns(id=np.zeros(2, np.int64))),
     "designs twice in flight": Event("asked", {}, vars(Asked.of(np.array([1, 1]), np.zeros((2, 2)), ACTIVE, 0))),
     "a result of nothing": Event("result", {"value": 1}, {}),
+    "a batch of a late iteration": Event("batch", {"iteration": 10**12}, columns()),
+    "a batch after an iteration without one": Event("batch", {"iteration": 2}, columns()),
+    "a batch of a negative iteration": Event("batch", {"iteration": -1}, columns()),
+    "a large id": Event("batch", {"iteration": 0}, columns(id=np.array([0, 2**62]))),
+    "a number of many digits": Event("result", {"of": ["a"], "value": 10**400}, {}),
+    "a number of many digits as a name's value": Event("software", {"numpy": {"a": [10**20]}}, {}),
+    "designs of a late iteration": Event("asked", {}, vars(Asked.of(np.array([9]), np.zeros((1, 2)), ACTIVE, 10**12))),
+    "deep lists in a result": Event("result", {"of": ["a"], "value": deep(300)}, {}),
+    "deep objects in a result": Event("result", {"of": ["a"], "value": deep(300, lambda value: {"a": value})}, {}),
     "another campaign": Event("campaign", {"settings": "seed = 2", "schema": {"variables": 3}}, {}),
 }
 
@@ -723,7 +777,8 @@ BAD = {
 @pytest.mark.parametrize("what", BAD)
 def test_an_event_that_activefail_never_writes_is_refused_though_its_digest_is_right(tmp_path: Path, what: str) -> None:
     written(tmp_path / "run", 2)
-    appended(tmp_path / "run", BAD[what])
+    # The last entry may be an interrupted one.
+    appended(tmp_path / "run", BAD[what], Event("result", {"of": ["b"], "value": 1}, {}))
     for write in (True, False):
         with pytest.raises(StoreError, match=r"journal( has content|:|, byte)"):
             FolderStore.open(tmp_path / "run", SCHEMA, write=write)
@@ -746,3 +801,41 @@ def test_arrays_that_an_entry_does_not_hold_are_not_read(tmp_path: Path, types: 
     with FolderStore.open(tmp_path / "run", SCHEMA, write=False) as store:
         assert len(store.batches) == 1
         assert "has content that activefail never writes" in store.warnings[0]
+
+
+@pytest.mark.parametrize("levels", [98, 300, 900, 100_000])
+def test_a_deep_value_is_refused_when_it_is_kept_or_can_be_read_wherever_it_is_asked_for(
+    tmp_path: Path, levels: int
+) -> None:
+    def recalled(store: FolderStore, frames: int) -> Any:
+        return store.recall(("a",)) if not frames else recalled(store, frames - 1)
+
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+        if levels > 100:
+            with pytest.raises((ValueError, RecursionError)):
+                store.remember(("a",), deep(levels))
+            store.remember(("b",), 1)
+        else:
+            store.remember(("a",), deep(levels))
+    with FolderStore.open(tmp_path / "run", write=True) as store:
+        assert recalled(store, 500) == (deep(levels) if levels <= 100 else None)
+
+
+def test_an_entry_that_would_make_the_journal_too_large_to_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = written(tmp_path / "run", 2, 3)
+    monkeypatch.setattr(journal_module, "LARGEST_JOURNAL", (tmp_path / "run" / "journal").stat().st_size + 800)
+    with FolderStore.open(tmp_path / "run", write=True) as store:
+        with pytest.raises(StoreError, match=r"it would be larger than .* bytes, and could not be read again"):
+            store.commit(batch(200, 2))
+        store.commit(batch(2, 3))
+    assert read(tmp_path / "run")[:2] == held
+    assert len(read(tmp_path / "run")) == 3
+
+
+def test_settings_that_could_not_be_read_again_are_not_written(tmp_path: Path) -> None:
+    text = "# " + "x" * 1_000_000
+    with pytest.raises(InputError, match=r"campaign.toml must have at most 1000000 bytes, would have 1000002"):
+        FolderStore.create(tmp_path / "run", text, SCHEMA)
+    assert not (tmp_path / "run").exists()

@@ -209,3 +209,29 @@ def test_code_that_two_threads_load_at_once_has_its_own_helpers(
     other_loaded.set()
     slow.join()
     assert found == ["slow"]
+
+
+def test_functions_of_two_folders_import_at_run_time_each_from_its_own_whatever_was_loaded_last(tmp_path: Path) -> None:
+    functions = []
+    for number in (1, 2):
+        code = tmp_path / str(number)
+        code.mkdir()
+        (code / "model.py").write_text("def run(design):\n    import helper\n    return helper.count()\n")
+        (code / "helper.py").write_text(
+            f"calls = {1000 * number}\ndef count():\n    global calls\n    calls += 1\n    return calls\n"
+        )
+        functions.append(load_function("model:run", code, "classifier.features.python")[0])
+    one, other = functions
+    # A module is executed once, as everywhere in Python.
+    assert [one({}), other({}), one({}), one({}), other({})] == [1001, 2001, 1002, 1003, 2002]
+    answers: dict[int, list[int]] = {}
+
+    def call(number: int) -> None:
+        answers[number] = [functions[number]({}) for _ in range(50)]
+
+    threads = [threading.Thread(target=call, args=(number,)) for number in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+    assert answers == {0: [*range(1004, 1054)], 1: [*range(2003, 2053)]}
