@@ -3,6 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from activefail.current_folder import NUMBA, keep_out
+
 if TYPE_CHECKING:
     from activefail.accelerogram_files import read_accelerogram
     from activefail.accelerogram_sets import RecordSet, SetRecord, read_record_set
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from activefail.run import Run
 
 __version__ = "0.3.0"
+
+keep_out(NUMBA)
 
 __all__ = [
     "TABLE_1",

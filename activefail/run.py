@@ -383,7 +383,7 @@ class Run:
         from activefail.verification.scores import last_error
 
         history = self.history if after is None else self.history[:after]
-        error = last_error(self.store) if len(history) == len(self.history) else None
+        error = last_error(self.store, self.campaign.learner_code) if len(history) == len(self.history) else None
         with one_thread_of_blas():
             return known_in_words(self.campaign, history, self._predicting(after), error)
 

@@ -89,12 +89,13 @@ class Constraint:
     is_strict: bool = field(compare=False, repr=False)
 
     def holds(self, quantities: Mapping[str, Any]) -> NDArray[np.bool_]:
-        """Whether it is met; not where a side is no number."""
+        """Whether it is met; not where a side is infinite or undefined."""
         with np.errstate(all="ignore"):
             left, right = self.left(quantities), self.right(quantities)
             # The margin forgives the rounding of decimal numbers: 0.1 + 0.2 <= 0.3.
             margin = _ROUNDING * (np.abs(left) + np.abs(right))
-            return np.asarray(left < right - margin if self.is_strict else left <= right + margin)
+            met = left < right - margin if self.is_strict else left <= right + margin
+            return np.asarray(met & np.isfinite(left) & np.isfinite(right))
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,25 @@ def test_a_constraint_that_makes_no_sense_is_refused(constraint: str, rule: str)
     assert rule in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("constraint", "met"),
+    [
+        ("depth / (gap - gap) <= 5", [False, False]),
+        ("5 >= depth / (gap - 0.5)", [True, False]),
+        ("-1 / (gap - 0.5) ** 2 < depth", [True, False]),
+        ("depth <= 9 ** 9 ** 9 ** 9", [False, False]),
+        ("log(gap - 0.5) <= 1", [False, False]),
+        ("exp(2000 * gap) >= depth", [True, False]),
+    ],
+)
+def test_a_constraint_with_an_infinite_or_undefined_side_is_not_met(constraint: str, met: list[bool]) -> None:
+    space = parse_settings(SPACE.replace("depth + gap <= 1", constraint), "f").design_space()
+    designs = np.array([[0.4, 0.2], [0.4, 0.5]])
+    assert space.meets_constraints(designs).tolist() == met
+    assert space.contains(designs).tolist() == met
+    assert [space.broken_rule(design) is None for design in designs] == met
+
+
 def test_decimal_numbers_are_compared_as_a_person_would(campaign: Campaign) -> None:
     assert campaign.space.meets_constraints(np.array([[0.7, 0.3], [0.1 + 0.2, 0.7], [0.7, 0.3001]])).tolist() == [
         True,

@@ -81,6 +81,39 @@ def test_a_campaign_whose_learner_changed_is_refused_until_its_folder_is_named(t
     assert activefail("resume", run, "--code", tmp_path).code == 0
 
 
+CHANGES = {
+    "kernel": ("nu=1.5", "nu=0.5"),
+    "likelihood": ("tensor(-4.0)", "tensor(-1.0)"),
+    "model": ("=Normalize(features.shape[-1])", "=None"),
+    "criterion": ("return X / 5.0", "return X**3"),
+}
+"""Of the code of a learner: a text, and what takes its place. With a custom criterion, the features change."""
+FEATURES = "\ndef features(X, space):\n    return X / 5.0\n"
+
+
+@pytest.mark.parametrize("case", CHANGES)
+def test_nothing_that_former_code_has_learned_or_verified_is_used(case: str, tmp_path: Path) -> None:
+    file, code, run, table = campaign(tmp_path, case), tmp_path / "mine.py", tmp_path / "run", tmp_path / "designs.csv"
+    code.write_text(CODE + FEATURES)
+    if case == "criterion":
+        file.write_text(file.read_text().replace('"design"', '{ python = "mine:features" }'))
+    table.write_text("x,y\n1.0,1.0\n3.0,0.1\n2.0,1.0\n")
+    assert activefail("run", file, "--out", run, "--budget", 23).code == 0
+    assert activefail("verify", run, "--simulations", 20, "--code", tmp_path).code == 0
+    predicting = ["predict", run, "--csv", table, "--code", tmp_path, "--out"]
+    assert "verified error" in activefail(*predicting, tmp_path / "former.csv").out
+    former, latter = CHANGES[case]
+    assert former in code.read_text()
+    code.write_text(code.read_text().replace(former, latter))
+    saved = activefail(*predicting, tmp_path / "saved.csv")
+    assert "was learned with other custom code" in saved.err
+    assert "verified error" not in saved.out
+    (run / "checkpoint.h5").unlink()
+    assert activefail(*predicting, tmp_path / "learned.csv").code == 0
+    tables = [(tmp_path / f"{name}.csv").read_text() for name in ("former", "saved", "learned")]
+    assert tables[0] != tables[1] == tables[2]
+
+
 @pytest.mark.parametrize(
     ("case", "code", "says"),
     [

@@ -44,7 +44,7 @@ _DEFAULTS = {
 
 
 def compiler_options() -> str:
-    """Numba's options, from its environment or its file, that change compiled code and differ from the defaults."""
+    """Numba's options that change compiled code and differ from the defaults."""
     from numba.core import config
 
     values = {name: getattr(config, name, default) for name, default in _DEFAULTS.items()}
@@ -75,15 +75,13 @@ def folder_of_kernels(package: Path = _PACKAGE) -> Path:
     Kernels of earlier sources next to the package are deleted; their folders stay, because a process that began before
     the change may still save there.
     """
-    from numba.core import config
     from numba.misc.appdirs import AppDirs
 
-    pycache = package / "__pycache__"
+    pycache, named = package / "__pycache__", Path(os.environ.get("NUMBA_CACHE_DIR", ""))
     user = Path(AppDirs("numba", False).user_cache_dir)
-    bases = [*([pycache] if os.access(package, os.W_OK) else []), user]
-    if config.CACHE_DIR:
-        bases = [Path(config.CACHE_DIR)]
-    base = next((base for base in bases if _is_private(base)), Path(os.devnull))
+    bases = [named] if named.is_absolute() else [*([pycache] if os.access(package, os.W_OK) else []), user]
+    # A relative path would begin at the current folder, which may come from someone else.
+    base = next((base for base in bases if base.is_absolute() and _is_private(base)), Path(os.devnull))
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
         digest.update(source.name.encode() + b"\0" + source.read_bytes())
@@ -92,8 +90,7 @@ def folder_of_kernels(package: Path = _PACKAGE) -> Path:
         for kept in pycache.glob("kernels-*/**/*.nb[ic]"):
             if sources not in kept.parts:
                 kept.unlink(missing_ok=True)
-    # Absolute, because the current folder may change before a kernel is compiled.
-    return base.absolute() / sources / hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
+    return base / sources / hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from activefail.names import FeatureSet
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
 from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.code_folder import sha256
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.elsewhere import ElsewhereSimulator
 from activefail.simulators.function import PythonSimulator
@@ -32,6 +33,7 @@ from activefail.simulators.user_code import (
     CRITERION_KEY,
     FEATURES_KEY,
     KERNEL_KEY,
+    LEARNER_KEYS,
     LIKELIHOOD_KEY,
     MODEL_KEY,
     SIMULATOR_KEY,
@@ -153,6 +155,12 @@ class Campaign:
         if isinstance(features, sections.PythonFeaturesSettings):
             functions[FEATURES_KEY] = features.python
         return functions | _learner_references(self.settings)
+
+    @property
+    def learner_code(self) -> str:
+        """SHA-256 of the digests of the custom code that decides what is learned; "" without such code."""
+        used = [f"{key} {self.sources[key]}\n" for key in (FEATURES_KEY, *LEARNER_KEYS) if key in self.sources]
+        return sha256("".join(used).encode()) if used else ""
 
     @contextmanager
     def custom_code(self, *keys: str) -> Iterator[None]:

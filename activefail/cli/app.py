@@ -15,6 +15,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 import typer
 from typer.core import TyperCommand
 
+from activefail.current_folder import MATPLOTLIB, keep_out
 from activefail.display import is_verbose
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
 from activefail.interrupts import INTERRUPTED, end_without_waiting, repeating_missed_ctrl_c
@@ -38,6 +39,7 @@ app = typer.Typer(
 
 def program() -> None:
     """Run the command line as the process's main program."""
+    keep_out(MATPLOTLIB)
     _reserve_output()
     try:
         main()

@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from activefail.current_folder import MATPLOTLIB, keep_out
 from activefail.errors import ActivefailError, SimulationError, reason_of, signal_name
 from activefail.execution.supervisor import SIGNALLED
 from activefail.simulators.interface import TIME_LIMIT, WORKER_DIED
@@ -157,6 +158,7 @@ def serve(descriptor: int) -> NoReturn:
     global _connection
     _connection = connection = Connection(descriptor)
     process = os.getpid()
+    keep_out(MATPLOTLIB)
     # Parallel workers must not each start a thread per core, in libraries loaded now or later.
     threadpool_limits(1)
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, looked, looks_from_state, looks_state
-from activefail.loop.saved_learning import margins_of, restore
+from activefail.loop.saved_learning import code_state, margins_of, restore
 from activefail.loop.stop_rule import how_met, note_met
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
@@ -162,13 +162,13 @@ def current(campaign: Campaign, store: Store, write: bool, before: Learned | Non
     history = History.of(store.batches)
     learned = before
     if learned is None or not learned.holds(history):
-        saved = restore(store, history.last_iteration, partial(_learned_of, campaign))
+        saved = restore(campaign, store, history.last_iteration, partial(_learned_of, campaign))
         learned = None if saved is None else saved[1]
     first = history.first_learnable if learned is None else learned.iteration + 1
     for iteration in range(first, history.last_iteration + 1):
         learned = Learned.after(campaign, history, iteration, learned)
         if write:
-            store.write_state(iteration, learned.state)
+            store.write_state(iteration, learned.state | code_state(campaign))
     assert learned is not None
     if write:
         note_met(store, how_met(campaign, history, learned.looks))

@@ -16,6 +16,15 @@ from activefail.surrogate.saved import SavedClassifier, saved_classifier
 
 Used = TypeVar("Used")
 
+_CODE = "code"
+"""Key of the digest of custom code in a saved state."""
+
+
+def code_state(campaign: Campaign) -> dict[str, NDArray[Any]]:
+    """The array of a saved state that says with which custom code it was learned; none without such code."""
+    code = campaign.learner_code
+    return {_CODE: np.frombuffer(bytes.fromhex(code), "<i8")} if code else {}
+
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     """The margins that a campaign's classifier may learn from; None if it learns from outcomes alone."""
@@ -32,17 +41,23 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
 
 
 def restore(
-    store: Store, through: int, use: Callable[[int, dict[str, NDArray[Any]], History], Used]
+    campaign: Campaign, store: Store, through: int, use: Callable[[int, dict[str, NDArray[Any]], History], Used]
 ) -> tuple[int, Used] | None:
     """The newest valid state up to iteration `through`, and what is made of it; None if there is none.
 
+    A state that other custom code has learned is not valid.
+
     Args:
+        campaign: the campaign.
         store: the store that holds it.
         through: the last recorded iteration.
         use: makes something of an iteration, its state, and the record through this iteration.
     """
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
+        if not np.array_equal(state.get(_CODE, ()), code_state(campaign).get(_CODE, ())):
+            store.reject_state(iteration, "was learned with other custom code")
+            continue
         try:
             return iteration, use(iteration, state, History.of(store.batches).through(iteration))
         except InputError:  # of custom code
@@ -62,7 +77,7 @@ def saved_current(campaign: Campaign, store: Store) -> SavedClassifier | None:
         return _saved(campaign, state, history)
 
     last = History.of(store.batches).last_iteration
-    saved = restore(store, last, use)
+    saved = restore(campaign, store, last, use)
     return saved[1] if saved is not None and saved[0] == last else None
 
 

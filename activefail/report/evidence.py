@@ -153,7 +153,7 @@ def evidence_of(
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
         missing["reliability"] = "a test set, or a complete initial design"
-    error, surface = last_error(store), last_surface(store)
+    error, surface = last_error(store, campaign.learner_code), last_surface(store, campaign.learner_code)
     # Sets that other code simulated are not read, and then what they verified is not of this simulator.
     sets = [name for name in store.set_names() if name.startswith(("look-", "verification-", "surface-"))]
     if not any(store.read_set(name) is not None for name in sets):

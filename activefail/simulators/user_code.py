@@ -20,8 +20,10 @@ SIMULATOR_KEY, COMMAND_KEY = "simulator.python", "simulator.command"
 FEATURES_KEY = "classifier.features.python"
 KERNEL_KEY, LIKELIHOOD_KEY = "classifier.kernel.python", "classifier.likelihood.python"
 MODEL_KEY, CRITERION_KEY = "classifier.model.python", "acquisition.criterion.python"
-LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 """The settings that name a user's functions; the record stores the digests of their sources under these keys."""
+
+LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
+"""Those of them that train the classifier; what it learns also depends on custom features."""
 
 _importing: set[str] = set()
 """The user's modules that are being imported; `_loading` guards it."""

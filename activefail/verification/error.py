@@ -20,7 +20,7 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.moments import Moments
 from activefail.verification.confidence_bounds import StratifiedCount
-from activefail.verification.scores import error_in_words, error_of, keep
+from activefail.verification.scores import error_in_words, error_of, keep_of
 from activefail.verification.stored_sets import looks_before, set_name
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ def verify_by_rule(
     if results is None:
         return None, False
     error = _judged(estimator.campaign, plan, results, rule.confidence)
-    keep(estimator.store, error_of(estimator.store.digest), error.as_json())
+    keep_of(estimator.store, error_of(estimator.store.digest), error.as_json(), estimator.campaign.learner_code)
     return error, error.is_at_most(rule.error, confidence)
 
 
@@ -232,7 +232,7 @@ def verify(estimator: "Estimator", simulations: int, confidence: float) -> Error
     results = estimator.results(name, of_look, plan.designs)
     assert results is not None  # no stop was requested
     error = _judged(estimator.campaign, plan, results, confidence)
-    keep(estimator.store, error_of(estimator.store.digest), error.as_json())
+    keep_of(estimator.store, error_of(estimator.store.digest), error.as_json(), estimator.campaign.learner_code)
     return error
 
 

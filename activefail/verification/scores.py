@@ -159,10 +159,15 @@ def verified_in_words(error: Mapping[str, Any]) -> str:
     return f"{text} of the design space with {100.0 * error['confidence']:g} % confidence, {basis}"
 
 
-def last_error(store: Store) -> Mapping[str, Any] | None:
-    """The numbers of the error that was verified last, by a user or the stop rule; None unless it is of this record."""
+def last_error(store: Store, code: str | None = None) -> Mapping[str, Any] | None:
+    """The numbers of the error that was verified last, by a user or the stop rule; None unless it is of this record.
+
+    Args:
+        store: the record.
+        code: as for `kept_of`.
+    """
     numbers = dict.fromkeys(("error", "low", "high", "confidence"), Real)
-    value = store.recall(error_of(store.digest))
+    value = kept_of(store, error_of(store.digest), code)
     return value if fits(value, numbers | {"simulations": int, "numerical_failures": int}) else None
 
 
@@ -180,6 +185,20 @@ def keep(store: Store, of: tuple[str, ...], value: Any) -> None:
     """Keep a computed result, unless just this is kept already."""
     if store.recall(of) != value:
         store.remember(of, value)
+
+
+def keep_of(store: Store, of: tuple[str, ...], value: Mapping[str, Any], code: str) -> None:
+    """Keep what was found about a classifier, with the digest of the custom code that learned it, "" without any."""
+    keep(store, of, {**value, **({"code": code} if code else {})})
+
+
+def kept_of(store: Store, of: tuple[str, ...], code: str | None) -> Any:
+    """What `keep_of` kept; None if it was about a classifier of other custom code than `code`, if that is given."""
+    value = store.recall(of)
+    if not isinstance(value, dict):
+        return value
+    learned_with = value.pop("code", "")
+    return value if code in (None, learned_with) else None
 
 
 class CurvePoint(NamedTuple):

@@ -20,7 +20,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Estimator
-from activefail.verification.scores import fits, keep
+from activefail.verification.scores import fits, keep_of, kept_of
 from activefail.verification.stored_sets import set_name
 
 EDGES = (0.0, 0.1, 0.3, 0.7, 0.9, 1.0)
@@ -126,7 +126,7 @@ def verify_surface(estimator: Estimator, simulations: int, confidence: float) ->
     probability = estimator.classifier.predicted(X[answered]).beyond(campaign.severity)
     beyond, lost = results.outcome[answered] >= campaign.severity, int((~answered).sum())
     found = score(probability, beyond, lost, confidence)
-    keep(estimator.store, _surface_of(estimator.store), found.as_json())
+    keep_of(estimator.store, _surface_of(estimator.store), found.as_json(), campaign.learner_code)
     return found
 
 
@@ -134,9 +134,9 @@ def _surface_of(store: Store) -> tuple[str, ...]:
     return "surface", store.digest
 
 
-def last_surface(store: Store) -> SurfaceScore | None:
-    """The score that was found last; None unless it is of this record."""
-    value = store.recall(_surface_of(store))
+def last_surface(store: Store, code: str) -> SurfaceScore | None:
+    """The score that was found last; None unless it is of this record and a classifier of this custom code."""
+    value = kept_of(store, _surface_of(store), code)
     if not fits(value, {one.name: object for one in fields(SurfaceScore)}):
         return None
     return SurfaceScore(**value | {"calibration": tuple(CalibrationClass(**one) for one in value["calibration"])})

@@ -435,7 +435,7 @@ def test_arrays_of_any_kind_in_a_state_give_a_classifier_or_none(
             of = known.designs, known.outcome, campaign.simulator.outcomes, campaign.features
             return classifier_from_state(state, *of, learner_of(campaign))
 
-        saved = restore(store, store.batches[-1].iteration, restored)
+        saved = restore(campaign, store, store.batches[-1].iteration, restored)
         if saved is not None:
             probabilities = saved[1].probabilities(np.random.default_rng(0).random((5, 2)))
             assert np.isfinite(probabilities).all()
