@@ -563,7 +563,7 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
 @pytest.mark.parametrize(
     ("levels", "why"),
     [
-        ("0.5,1.3", "it lies beyond every level, an extrapolation; choose others with --range"),
+        ("0.5,1.8", "it lies beyond every level, an extrapolation; choose others with --range"),
         ("0,3.8", "the levels are not all positive; choose others with --range"),
     ],
 )
