@@ -18,6 +18,7 @@ from faults.victim import campaign, elsewhere, opened
 from activefail.files import TEMPORARY
 from activefail.loop.in_flight import HandedOut
 from activefail.record.batch import columns_of
+from activefail.record.labels import labels_of
 from activefail.record.run_folder import FolderStore
 
 PLACES = ("ask 1", "ask 3", "tell 1", "tell 5", "drop 1", "add 1", "correct 1", "correct 2")
@@ -25,13 +26,14 @@ PLACES = ("ask 1", "ask 3", "tell 1", "tell 5", "drop 1", "add 1", "correct 1", 
 
 
 def rows(folder: Path) -> list[bytes]:
-    """Every bit of the simulations, of the list of designs that were handed out, and of the corrections."""
+    """Every bit of the simulations, their labels, the list of designs that were handed out, and the corrections."""
     with FolderStore.open(folder, write=False) as store:
         asked = store.asked
         columns = [columns_of(batch) | {"iteration": np.full(len(batch), batch.iteration)} for batch in store.batches]
         simulated = [np.concatenate([one[name] for one in columns]).tobytes() for name in columns[0]]
         corrected = store.corrections.place.tobytes() + store.corrections.results.outcome.tobytes()
-        return [*simulated, asked.id.tobytes(), asked.designs.tobytes(), asked.dropped.tobytes(), corrected]
+        notes = repr(labels_of(store, np.concatenate([one["id"] for one in columns]))).encode()
+        return [*simulated, asked.id.tobytes(), asked.designs.tobytes(), asked.dropped.tobytes(), corrected, notes]
 
 
 @pytest.fixture(scope="module")

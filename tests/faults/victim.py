@@ -179,7 +179,7 @@ def elsewhere(record: Logging) -> None:
         if len(history) > BATCH and not (history.origin == GIVEN).any():
             X = one.space.from_unit(np.array([[0.3, 0.6]]))
             with gate.marked("add"):
-                add(one, record, X, one.simulator.run(X))
+                add(one, record, X, one.simulator.run(X), labels=[{"note": "given"}])
             record.tell("added")
         elif DROPPED in flight.id:
             with gate.marked("drop"):
@@ -192,12 +192,14 @@ def elsewhere(record: Logging) -> None:
             if not len(record.corrections):
                 results = replace(results, outcome=(1 - results.outcome).astype(np.int8))
             with gate.marked("correct"):
-                correct(one, record, history.id[rows], results)
+                labels = [{"note": f"corrected {len(record.corrections)}"}] * len(rows)
+                correct(one, record, history.id[rows], results, labels=labels)
             record.tell(f"corrected {len(record.corrections)}")
         elif len(flight):
             part = flight[:2]
             with gate.marked("tell"):
-                tell(one, record, part.id, one.simulator.run(part.designs))
+                labels = [{"note": f"told {number}"} for number in part.id.tolist()]
+                tell(one, record, part.id, one.simulator.run(part.designs), labels=labels)
             record.tell(f"told {' '.join(map(str, part.id.tolist()))}")
         else:
             with gate.marked("ask"):
