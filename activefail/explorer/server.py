@@ -186,11 +186,16 @@ class _Handler(BaseHTTPRequestHandler):
             raise
 
     def _check_visitor(self) -> None:
-        """Check path, Host, Origin and token.
+        """Check path, body, Host, Origin and token.
 
         Raises:
             _RefusedError: if one of them is invalid.
         """
+        lengths = self.headers.get_all("Content-Length", [])
+        is_read = len(lengths) < 2 if self.command == "POST" else lengths in ([], ["0"])
+        if "Transfer-Encoding" in self.headers or not is_read:
+            # What is not read of a body would be the next request.
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "Only a question has a body, whose length it states once.")
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
         if not self.server.knows(host):
             raise _RefusedError(HTTPStatus.MISDIRECTED_REQUEST, "The Host header does not name this server.")

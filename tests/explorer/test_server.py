@@ -161,6 +161,31 @@ def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
     assert answer.json["error"] == "Unsupported method ('PUT')"
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "GET / HTTP/1.1\r\nContent-Length: {length}",
+        "HEAD / HTTP/1.1\r\nContent-Length: {length}",
+        "GET / HTTP/1.1\r\nTransfer-Encoding: chunked",
+        "GET / HTTP/1.1\r\nContent-Length: 0\r\nContent-Length: {length}",
+        "POST /api/predict HTTP/1.1\r\nContent-Length: 0\r\nContent-Length: {length}",
+        "POST /api/predict HTTP/1.1\r\nContent-Length: 0\r\nTransfer-Encoding: chunked",
+    ],
+)
+def test_a_request_whose_body_is_not_read_is_refused_and_the_body_is_no_request(server, head: str) -> None:
+    host = f"Host: 127.0.0.1:{server.server_address[1]}\r\n"
+    body = f"GET /explorer.css HTTP/1.1\r\n{host}\r\n"
+    with connected(server) as line:
+        line.sendall(f"{head.format(length=len(body))}\r\n{host}Content-Type: application/json\r\n\r\n{body}".encode())
+        received = line.makefile("rb").read()
+    assert received.startswith(b"HTTP/1.1 400 ")
+    assert received.count(b"HTTP/1.1 ") == 1
+
+
+def test_a_request_that_says_that_it_has_no_body_is_answered(server) -> None:
+    assert request(server, path="/explorer.css", Content_Length="0").status == 200
+
+
 def test_what_is_no_http_is_refused_in_words(server):
     with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=PATIENCE) as line:
         line.sendall(b"nonsense\r\n\r\n")
