@@ -108,7 +108,8 @@ class MarginRequest:
                 )
             if mce is None:
                 # The spectral acceleration of the maximum considered earthquake [FEMA2009, section 6.2.2].
-                mce = float(_package("--sdc", self.sdc).smt(float(period), self.sdc.lower()))
+                category = _category(self.sdc)
+                mce = float(_package("--sdc").smt(float(period), category))
                 last = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
             factor = shape_factor(period, self.ductility, self.sdc, set_name)
             of_factor = (
@@ -149,8 +150,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
     Raises:
         InputError: if an argument is outside its range or the package is not installed.
     """
-    if category.lower() not in CATEGORIES:
-        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
+    category = _category(category)
     if not set_name:
         raise InputError(
             "--sdc: requires a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra "
@@ -162,7 +162,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
             f"{period:g} s. State the shape factor with --ssf."
         )
     # The package computes with whole numbers if it is given some.
-    return float(_package("--sdc").ssf(float(period), float(ductility), category.lower(), set_name))
+    return float(_package("--sdc").ssf(float(period), float(ductility), category, set_name))
 
 
 def normalised_intensity(period: float, set_name: str) -> float:
@@ -183,6 +183,13 @@ def normalised_intensity(period: float, set_name: str) -> float:
             f"{period:g} s."
         )
     return float(_package("--scale-to p695").snrt(float(period), set_name))
+
+
+def _category(text: str) -> str:
+    """A seismic design category as the package names it."""
+    if (category := text.lower()) not in CATEGORIES:
+        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(text)!r}.")
+    return category
 
 
 def _package(option: str) -> ModuleType:
