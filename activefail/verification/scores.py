@@ -173,7 +173,7 @@ def fits(value: Any, shape: Any) -> bool:
     """
     if isinstance(shape, dict):
         return isinstance(value, dict) and all(key in value and fits(value[key], one) for key, one in shape.items())
-    return isinstance(value, shape) and not (isinstance(value, Real) and abs(value) >= _LARGEST)
+    return isinstance(value, shape) and not (isinstance(value, int | float) and abs(value) >= _LARGEST)
 
 
 def keep(store: Store, of: tuple[str, ...], value: Any) -> None:
