@@ -292,10 +292,8 @@ def test_static_designs_have_their_own_sizes_and_several_of_one_size_differ(
         compare(campaign, store, executor, [40], TEST, static=[1])
 
 
-ROW = dict.fromkeys(("sampling", "simulations", "accuracy", "low", "high", "outcome_accuracy", "log_score"), 0.5) | {
-    "test_designs": 3,
-    "recall": {},
-}
+NUMBERS = ("sampling", "simulations", "accuracy", "low", "high", "outcome_accuracy", "log_score")
+ROW = dict.fromkeys(NUMBERS, 0.5) | {"test_designs": 3, "recall": {}}
 
 
 @pytest.mark.parametrize(
