@@ -189,6 +189,7 @@ def remembered_scores(store: Store) -> tuple[list[Score], int] | None:
     """The scores of the last comparison, and the number of numerical failures in its test set; None without any."""
     saved = store.recall(_IDENTITY)
     try:
-        return [score_of(row) for row in saved["scores"]], int(saved["unanswered"])
-    except (AttributeError, LookupError, TypeError, ValueError):  # none, or not written by `remember_scores`
+        first, *others = map(score_of, saved["scores"])
+        return [first, *others], int(saved["unanswered"])
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # none, or of other versions
         return None

@@ -26,7 +26,7 @@ GIVEN = 3
 
 
 LARGEST_ID = 2**53
-"""Largest id and iteration: a float holds it too, as it must in a table."""
+"""Largest id: a float holds it too, as it must in a table."""
 
 # Little-endian on every machine: the digests are computed from these bytes.
 COLUMNS = {

@@ -14,9 +14,6 @@ _BLOCK = 100
 _PART = 100_000
 """Characters of labels after which another result of the record begins."""
 
-_LONGEST = 1000
-"""Most characters of a label."""
-
 Labels = Sequence[Mapping[str, str]]
 """The labels of simulations by name."""
 
@@ -32,8 +29,7 @@ def new_labels(store: Store, ids: Iterable[int], labels: Labels) -> Remembered:
     blocks: dict[int, _Known] = {}
     for number, named in zip(ids, labels, strict=False):
         if named:
-            cut = {name: text[:_LONGEST] for name, text in named.items()}
-            blocks.setdefault(number // _BLOCK, {}).setdefault(str(number), {}).update(cut)
+            blocks.setdefault(number // _BLOCK, {}).setdefault(str(number), {}).update(named)
     new: dict[tuple[str, ...], _Known] = {}
     for block, rows in blocks.items():
         parts = _parts(store, block)

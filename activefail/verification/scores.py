@@ -174,7 +174,7 @@ def last_error(store: Store, code: str | None = None) -> Mapping[str, Any] | Non
 def fits(value: Any, shape: Any) -> bool:
     """Whether a kept value is of a type, or a dict with values of these shapes, by key; other versions' may not be.
 
-    No number is of any use that is as large as `_LARGEST`.
+    A number must be below `_LARGEST` in size.
     """
     if isinstance(shape, dict):
         return isinstance(value, dict) and all(key in value and fits(value[key], one) for key, one in shape.items())
@@ -246,3 +246,4 @@ def _point(simulations: Any, score: Any, probability: Any) -> CurvePoint:
 _POINT = "learning curve"
 
 _LARGEST = 2.0**63
+"""Above it a kept number is none of activefail's."""

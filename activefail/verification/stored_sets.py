@@ -17,6 +17,7 @@ one of
 """
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 _PART = 500
 """Designs in one part of a set."""
+
+_MOST_A_PART = 1000 * _PART
+"""Most designs that are drawn for one part: rows of a table that are drawn several times are simulated once."""
 
 VALIDATION = "validation"
 
@@ -60,8 +64,13 @@ def sizes_of_test_sets(store: Store) -> list[int]:
 
 
 def estimate_sizes(store: Store, severity: int, iteration: int, question: str = "") -> list[int]:
-    """Sizes of the sets that estimate a probability at an iteration, the largest first."""
-    return _numbers(store, rf"{kind_of_estimate(question)}-{severity}-{iteration}-(\d+)")
+    """Sizes of the sets that estimate a probability at an iteration, the largest first.
+
+    A stranger's name may have any number: all these designs would be drawn to find those that are stored.
+    """
+    name = f"{kind_of_estimate(question)}-{severity}-{iteration}"
+    parts = Counter(one.rpartition("-")[0] for one in store.set_names())
+    return [size for size in _numbers(store, rf"{name}-(\d+)") if size <= _MOST_A_PART * parts[f"{name}-{size}"]]
 
 
 def looks_before(store: Store, iteration: int) -> int:

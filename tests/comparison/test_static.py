@@ -30,6 +30,7 @@ from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.threads import one_thread
 from activefail.surrogate.training import train
 from activefail.verification.scores import Score, recalls, score
+from activefail.verification.stored_sets import estimate_sizes
 
 TEST = 300
 
@@ -289,3 +290,31 @@ def test_static_designs_have_their_own_sizes_and_several_of_one_size_differ(
     assert f"{100 * accuracies[0]:.2f} to {100 * accuracies[1]:.2f} %" in line
     with ThreadExecutor(2) as executor, pytest.raises(InputError, match="static: must be at least 2, got 1"):
         compare(campaign, store, executor, [40], TEST, static=[1])
+
+
+NUMBERS = ("sampling", "simulations", "accuracy", "low", "high", "outcome_accuracy", "log_score")
+ROW = dict.fromkeys(NUMBERS, 0.5) | {"test_designs": 3, "recall": {}}
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        5,
+        [],
+        {"scores": [], "unanswered": 0},
+        {"scores": [ROW], "unanswered": float("inf")},
+        {"scores": [ROW | {"recall": {"a": {"recalled": float("inf"), "total": 1}}}], "unanswered": 0},
+        {"scores": [ROW | {"accuracy": []}], "unanswered": 0},
+    ],
+)
+def test_a_comparison_that_this_version_does_not_write_is_none(campaign: Campaign, value: object) -> None:
+    store = MemoryStore(campaign.schema)
+    store.remember(("comparison",), value)
+    assert remembered_scores(store) is None
+
+
+def test_a_set_whose_name_has_more_designs_than_can_be_stored_in_it_is_none(campaign: Campaign) -> None:
+    store, results = MemoryStore(campaign.schema), campaign.simulator.run(np.zeros((3, 2)))
+    for size in (3, 700, 10**12):
+        store.write_set(f"probability-1-4-{size}-0", np.zeros((3, 2)), results)
+    assert estimate_sizes(store, 1, 4) == [700, 3]

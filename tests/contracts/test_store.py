@@ -176,7 +176,7 @@ def test_what_is_not_of_the_schema_is_refused_and_leaves_nothing(kind: Kind) -> 
         "float64": (np.zeros((3, 2), dtype=np.float32), good),
         "margins": (X, Results(good.outcome, good.cause, np.zeros((3, 2)), good.seconds)),
         "outcome < 3": (X, Results(np.full(3, 3, dtype=np.int8), good.cause, good.margins, good.seconds)),
-        "<= cause": (X, Results(good.outcome, np.full(3, -6, dtype=np.int8), good.margins, good.seconds)),
+        "<= cause": (X, Results(good.outcome, np.full(3, -7, dtype=np.int8), good.margins, good.seconds)),
         "int8": (X, Results(good.outcome.astype(np.int64), good.cause, good.margins, good.seconds)),
     }
     for rule, (designs, answers) in bad.items():

@@ -167,9 +167,9 @@ def copied(campaign, store, batches=None):
     """A record with the first so many batches of another one, or with all of them and what was learned."""
     copy = MemoryStore(campaign.schema)
     first = store.batches[:batches]
-    copy.hand_out(store.asked[store.asked.learned < first[-1].iteration])
     for batch in first:
         copy.commit(batch)
+    copy.hand_out(store.asked[store.asked.learned < first[-1].iteration])
     if batches is None:
         copy.write_state(*store.latest_state())
     return copy

@@ -173,6 +173,13 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
     [
         lambda text: text.replace('"target": 0.05', '"target": 0.1'),
         lambda text: text.replace('"D_tot": 0.', '"D_tot": 1.'),
+        # As a stranger may write them.
+        lambda text: text.replace('"look": ', f'"look": {10**15}'),
+        lambda text: text.replace('"look": ', '"look": -'),
+        lambda text: text.replace('"D_tot": 0.', '"D_tot": "a", "b": 0.'),
+        lambda text: text.replace('"confidence"', '"other"'),
+        lambda text: "5",
+        lambda text: "[1, [], {}, null]",
     ],
 )
 def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: Path, change) -> None:

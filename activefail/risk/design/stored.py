@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 from activefail.campaign.question import Question
 from activefail.record.store import Store
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.design.design_task import Requirement, confidence_of_bound
+from activefail.risk.design.design_task import LOOKS, Requirement, confidence_of_bound
 from activefail.risk.design.search import Designed, verifies
 from activefail.verification.probability_estimator import Estimator
+from activefail.verification.scores import fits
 
 _IDENTITY = ("verified designs",)
 
@@ -41,8 +44,19 @@ def remember_design(store: Store, designed: Designed) -> None:
         }
         for one in designed.task.requirements
     ]
-    former = store.recall(_IDENTITY) or []
+    former = _entries(store)
     store.remember(_IDENTITY, [*(entry for entry in former if entry not in new), *new])
+
+
+def _entries(store: Store) -> list[dict[str, Any]]:
+    """The entries of verified designs; what is none, in a stranger's record, is left out."""
+    kept, shape = (
+        store.recall(_IDENTITY),
+        {"outcome": str, "target": Real, "free": dict, "look": int, "confidence": Real},
+    )
+    entries = [one for one in kept if fits(one, shape)] if isinstance(kept, list) else []
+    known = [one for one in entries if 0 < one["look"] <= len(LOOKS)]
+    return [one for one in known if all(fits(value, Real) for value in one["free"].values())]
 
 
 def stored_designs(
@@ -60,7 +74,7 @@ def stored_designs(
     """
     designs = []
     for requirement in requirements:
-        for entry in reversed(estimator.store.recall(_IDENTITY) or []):
+        for entry in reversed(_entries(estimator.store)):
             if (entry["outcome"], entry["target"]) != requirement[:2] or entry["free"].keys() != {free}:
                 continue
             at_design = question.at(entry["free"])
