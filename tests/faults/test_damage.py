@@ -25,10 +25,10 @@ def folder(tmp_path: Path) -> Path:
     held = tmp_path / "run"
     with FolderStore.create(held, SETTINGS, SCHEMA, provenance={"numpy": "2.4"}) as store:
         for number in range(2):
-            store.commit(batch(2, number, iteration=number))
+            store.commit(batch(2, number))
         for write in WRITES.values():
             write(store)
-        store.commit(batch(2, 3, iteration=3))
+        store.commit(batch(2, 3, iteration=1))
         store.write_state(3, {"i": np.array(3), "sites": np.arange(6.0)})
     return held
 
@@ -124,7 +124,7 @@ def test_what_follows_the_last_entry_is_set_aside_and_the_campaign_goes_on(folde
         with FolderStore.open(folder, SCHEMA, write=True, provenance={"numpy": "2.4"}) as store:
             says = f"journal, byte {last}: the last entry is incomplete; it was moved to journal.quarantine."
             assert store.warnings[0].startswith(says)
-            store.commit(batch(2, 3, iteration=3))
+            store.commit(batch(2, 3, iteration=1))
         quarantined = (folder / "journal.quarantine").read_bytes()
         assert quarantined.endswith(data[last:-3])
         assert quarantined.count(b"activefail ") == number
