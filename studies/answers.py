@@ -34,7 +34,7 @@ from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.campaign.question import Question
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability.integral import BoundariesOf
-from activefail.risk.fragility.curve import Curve, risk_of
+from activefail.risk.fragility.curve import Curve, Rate, risk_of
 from activefail.risk.fragility.levels import curves_on, intensity_ladder
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
@@ -76,7 +76,7 @@ def fragility(folder, number):
             for severity, curve in enumerate(curves, start=1):
                 true = Curve(ladder, (outcome >= severity).mean(axis=1), 0.0)
                 for key, one in (("risk", curve), ("true", true)):
-                    risk = risk_of(one, np.array(RATES["pgv_m_s"]), np.array(RATES["annual_rate"]))
+                    risk = risk_of(one, Rate(np.array(RATES["pgv_m_s"]), np.array(RATES["annual_rate"])))
                     row[key].append(risk.probability)
             rows.append(row)
     return rows

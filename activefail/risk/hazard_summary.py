@@ -15,7 +15,7 @@ from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Outside, Questi
 from activefail.findings.lines import titled
 from activefail.json_text import json_values, named
 from activefail.risk.design.design_task import RISK_CATEGORIES
-from activefail.risk.fragility.curve import exceedance
+from activefail.risk.fragility.curve import Rate
 from activefail.shares import percent
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows, weighted_quantiles
@@ -84,8 +84,7 @@ class HazardSummary:
         curve, median = self.curve, self.hazard.median_velocity
         if not curve or not curve[0][0] <= median <= curve[-1][0]:
             return None
-        velocities, rates = np.array(curve).T
-        return float(exceedance(velocities, rates, np.array([median]))[0])
+        return float(Rate(*np.array(curve).T).exceeding(np.array([median]))[0])
 
     @property
     def source(self) -> str:

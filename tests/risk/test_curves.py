@@ -22,7 +22,7 @@ from activefail.risk.fragility.band import (
     levels_to_verify,
     verify,
 )
-from activefail.risk.fragility.curve import Curve, Ladder, fit_lognormal, risk_of, why_not_fitted
+from activefail.risk.fragility.curve import Curve, Ladder, Rate, fit_lognormal, risk_of, why_not_fitted
 from activefail.risk.fragility.exports import multilinear, openquake_model, pelicun_table
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled, error_of_rows
@@ -101,15 +101,17 @@ def test_a_curve_without_a_median_is_not_fitted() -> None:
 def test_the_risk_under_a_power_law_is_its_closed_form() -> None:
     slope, velocities = 2.0, np.array([0.3, 2.5])
     rates = 4e-4 * velocities**-slope
-    risk = risk_of(CURVE, velocities, rates)
-    expected = 4e-4 * MEDIAN**-slope * math.exp(0.5 * (slope * BETA) ** 2)
-    assert risk.annual_rate == pytest.approx(expected, rel=0.005)
-    assert risk.probability == pytest.approx(1.0 - math.exp(-50.0 * expected), rel=0.005)
+    risk = risk_of(CURVE, Rate(velocities, rates))
 
     def density(logarithm: float) -> float:
         return slope * 4e-4 * math.exp(-slope * logarithm) * float(ndtr((logarithm - math.log(MEDIAN)) / BETA))
 
     inside, _ = quad(density, math.log(0.3), math.log(2.5))
+    below, _ = quad(density, math.log(0.01), math.log(0.3))
+    expected = 4e-4 * MEDIAN**-slope * math.exp(0.5 * (slope * BETA) ** 2) - below
+    assert risk.annual_rate == pytest.approx(expected, rel=0.005)
+    assert risk.probability == pytest.approx(1.0 - math.exp(-50.0 * expected), rel=0.005)
+    assert (risk.least_pgv_m_s, risk.at_least_pgv) == (0.3, pytest.approx(float(CURVE.at(0.3))))
     assert risk.share_outside_hazard_curve == pytest.approx(1.0 - inside / expected, abs=0.005)
     assert risk.share_above_fragility_curve == pytest.approx(4e-4 * LADDER.levels[-1] ** -slope / expected, rel=0.02)
 

@@ -126,11 +126,16 @@ def test_added_uncertainty_convolves_the_curve(uncertain: FragilityFindings) -> 
 
 def test_the_risk_is_the_integral_over_the_sites_rates(uncertain: FragilityFindings) -> None:
     risk, beta = uncertain.boundaries[-1].risk, math.hypot(BETA, ADDED)
+    mean = math.log(MEDIAN) - SLOPE * beta**2
     rate = 4e-4 * MEDIAN**-SLOPE * math.exp(0.5 * (SLOPE * beta) ** 2)
+    # Pulses below 0.5 m/s are left out, where the hazard's curve begins.
+    z, of_first = math.log(0.5), 4e-4 * 0.5**-SLOPE
+    rate = rate * float(ndtr((mean - z) / beta)) + of_first * float(ndtr((z - math.log(MEDIAN)) / beta))
     assert risk is not None
     # Velocities above 4.2 m/s are counted with the last probability.
     assert risk.annual_rate == pytest.approx(rate, rel=0.03)
     assert 0.0 < risk.share_outside_hazard_curve < 0.5
+    assert any("Pulses below 0.5 m/s" in line for line in uncertain.lines)
 
 
 def test_failures_are_attributed_to_the_pulses_that_cause_them(uncertain: FragilityFindings) -> None:

@@ -15,7 +15,7 @@ from activefail.campaign.hazard import Hazard, hazard_of
 from activefail.errors import InputError
 from activefail.risk.design.design_task import Requirement, read_targets
 from activefail.risk.design.risk_target import at_risk, pulses_of_curve
-from activefail.risk.fragility.curve import Curve, Ladder, risk_of
+from activefail.risk.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.space import Array
 from activefail.weighted import WeightedRows
 
@@ -32,12 +32,15 @@ def hazard(**more: object) -> Hazard:
     return hazard_of({**VALUES, **more}, Path("hazard.toml"))
 
 
+RATE = Rate(np.array(VELOCITIES), np.array(RATES), 50.0)
+
+
 def share(rows: WeightedRows, values: Array) -> float:
     return float((rows.weight * values).mean())
 
 
 def test_pulses_of_a_curve_exceed_each_velocity_as_often_as_it_says() -> None:
-    rows = pulses_of_curve(hazard())
+    rows = pulses_of_curve(hazard(), RATE)
     for velocity, rate in zip(VELOCITIES[1:], RATES[1:], strict=True):
         assert RATES[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(rate, rel=0.02)
     assert rows.column("PGV").min() >= 0.2
@@ -47,27 +50,28 @@ def test_pulses_of_a_curve_exceed_each_velocity_as_often_as_it_says() -> None:
 
 
 def test_every_block_of_pulses_is_a_sample_of_the_same_distribution() -> None:
-    rows = pulses_of_curve(hazard())
+    rows = pulses_of_curve(hazard(), RATE)
     mean = share(rows, rows.column("PGV"))
     error = float(rows.standard_error(rows.column("PGV")))
     assert 0.0 < error < 0.005 * mean
 
 
-@pytest.mark.parametrize(("median", "dispersion"), [(0.8, 0.3), (2.0, 0.4)])
-def test_the_risk_is_the_integral_of_a_fragility_over_the_curve(median: float, dispersion: float) -> None:
+@pytest.mark.parametrize(("median", "dispersion"), [(0.8, 0.3), (2.0, 0.4), (0.3, 0.4), (0.15, 0.5)])
+def test_a_target_and_a_fragility_define_a_risk_alike(median: float, dispersion: float) -> None:
     ladder = Ladder("PGV", "m/s", np.geomspace(0.05, 20.0, 800), is_log=True)
     curve = Curve(ladder, norm.cdf(np.log(ladder.levels / median) / dispersion), 0.001)
-    expected = risk_of(curve, np.array(VELOCITIES), np.array(RATES))
+    expected = risk_of(curve, RATE)
     site, (requirement,), rate = at_risk(hazard(), [Requirement("failure", 0.01, 50.0)])
     assert site.rows is not None
     P = share(site.rows, norm.cdf(np.log(site.rows.column("PGV") / median) / dispersion))
-    assert rate.risk(P) == pytest.approx(expected.probability, rel=0.02)
+    # The pulses end where 1e-4 of the rate remains, and their strata have one velocity for each block.
+    assert rate.risk(P) == pytest.approx(expected.probability, rel=0.002)
     assert rate.risk(requirement.target) == pytest.approx(0.01)
 
 
 def test_periods_have_their_distribution_given_the_velocity() -> None:
     site = hazard(pgv={"median_m_s": 1.0, "dispersion": 0.25, "correlation_with_period": 0.6})
-    rows = pulses_of_curve(site)
+    rows = pulses_of_curve(site, RATE)
     z = (np.log(rows.column("T_p") / site.median_period)) / site.period_dispersion
     expected = 0.6 * np.log(rows.column("PGV")) / 0.25
     residual = (z - expected) / 0.8
@@ -81,9 +85,8 @@ def test_periods_of_a_table_are_those_of_its_pulses_of_similar_velocity() -> Non
     short = rng.random(6000) < 0.5
     # Long periods where the velocity is large, as a table of correlated pulses has them.
     period = np.where(short, 1.0, 2.0) * np.where(velocity > 1.0, 4.0, 1.0)
-    rows = pulses_of_curve(
-        replace(hazard(), rows=WeightedRows(("T_p", "PGV"), np.column_stack([period, velocity]), np.ones(6000)))
-    )
+    table = WeightedRows(("T_p", "PGV"), np.column_stack([period, velocity]), np.ones(6000))
+    rows = pulses_of_curve(replace(hazard(), rows=table), RATE)
     for large, periods in ((True, (4.0, 8.0)), (False, (1.0, 2.0))):
         far = (rows.column("PGV") > 1.25) if large else (rows.column("PGV") < 0.8)
         assert set(rows.column("T_p")[far]) == set(periods)
@@ -96,7 +99,7 @@ def test_periods_of_a_table_are_those_of_its_pulses_of_similar_velocity() -> Non
     ids=["a step", "steep", "flat"],
 )
 def test_no_curve_rests_on_a_few_pulses(velocities: list[float], rates: list[float]) -> None:
-    rows = pulses_of_curve(hazard(curve={"pgv_m_s": velocities, "annual_rate": rates}))
+    rows = pulses_of_curve(hazard(), Rate(np.array(velocities), np.array(rates)))
     if rates[1] < 1e-3:
         assert rows.weight.sum() ** 2 / (rows.weight**2).sum() > 1000
     for velocity, rate in zip(velocities[1:], rates[1:], strict=True):
@@ -114,10 +117,9 @@ def test_added_uncertainty_raises_the_risk_as_the_wider_fragility_does() -> None
     pulses, _ = site.pulses()
     assert isinstance(pulses, WeightedRows)
     P = share(pulses, norm.cdf(np.log(pulses.column("PGV") / median) / dispersion))
-    # Pulses below the first velocity are left out.
-    ladder = Ladder("PGV", "m/s", np.geomspace(VELOCITIES[0], 20.0, 800), is_log=True)
+    ladder = Ladder("PGV", "m/s", np.geomspace(0.05, 20.0, 800), is_log=True)
     wider = Curve(ladder, norm.cdf(np.log(ladder.levels / median) / math.hypot(dispersion, added)), 0.001)
-    expected = risk_of(wider, np.array(VELOCITIES), np.array(RATES))
+    expected = risk_of(wider, RATE)
     assert rate.risk(P) == pytest.approx(expected.probability, rel=0.03)
 
 

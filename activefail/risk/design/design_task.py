@@ -16,6 +16,7 @@ from activefail.errors import InputError
 from activefail.expressions import check_no_texts, parse_expression
 from activefail.parameter import Parameter
 from activefail.risk.classifier_probability import POINTS
+from activefail.risk.fragility.curve import Rate
 from activefail.space import Array, Constraint, DesignSpace
 from activefail.visible import visible
 
@@ -67,22 +68,6 @@ class Requirement(NamedTuple):
     outcome: str
     target: float  # given one draw of the question, or in a number of years
     years: float | None = None
-
-
-class Rate(NamedTuple):
-    """How often pulses of a hazard's curve occur."""
-
-    annual: float  # rate of pulses of at least `velocity` [1/year]
-    velocity: float  # the least of the curve [m/s]
-    years: float  # of the target
-
-    def risk(self, probability: float) -> float:
-        """The probability of at least one occurrence in these years, given its probability in one pulse."""
-        return -math.expm1(-self.years * self.annual * probability)
-
-    def given_pulse(self, risk: float) -> float:
-        """The probability in one pulse that gives this risk."""
-        return -math.log1p(-risk) / (self.years * self.annual)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from activefail.campaign.hazard import Hazard
 from activefail.campaign.pulse_table import velocities as velocities_of
 from activefail.campaign.question import PERIOD, PGV
 from activefail.errors import InputError
-from activefail.risk.design.design_task import LEAST_TARGET, Rate, Requirement
-from activefail.risk.fragility.curve import exceedance
+from activefail.risk.design.design_task import LEAST_TARGET, Requirement
+from activefail.risk.fragility.curve import Rate
 from activefail.space import Array
 from activefail.weighted import BLOCKS, WeightedRows, weighted_quantiles
 
@@ -46,7 +46,7 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
     if hazard is None or hazard.settings.curve is None:
         raise InputError("target: a risk in years requires a hazard with a [curve] of annual rates.")
     curve = hazard.settings.curve
-    rate = Rate(curve.annual_rate[0], curve.pgv_m_s[0], years)
+    rate = Rate(np.array(curve.pgv_m_s), np.array(curve.annual_rate), years)
     of_pulse = []
     for one in requirements:
         target = rate.given_pulse(one.target)
@@ -59,28 +59,26 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
             )
         of_pulse.append(one._replace(target=target))
     title = f"pulses of at least {rate.velocity:g} m/s by the curve of {hazard.title}"
-    return replace(hazard, title=title, rows=pulses_of_curve(hazard)), tuple(of_pulse), rate
+    return replace(hazard, title=title, rows=pulses_of_curve(hazard, rate)), tuple(of_pulse), rate
 
 
-def pulses_of_curve(hazard: Hazard) -> WeightedRows:
+def pulses_of_curve(hazard: Hazard, rate: Rate) -> WeightedRows:
     """Pulses that occur as a hazard's curve says: T_p and PGV, in blocks each of which is a sample.
 
     Velocities are even in the mean of their logarithms' and their rates' shares, so that neither rare strong pulses nor
     a steep part of the curve rest on a few rows; their weights are the rates. The curve is linear in logarithms and
     extrapolated at its upper end. Periods have their distribution given the velocity.
     """
-    curve = hazard.settings.curve
-    assert curve is not None
-    velocities, rates = np.array(curve.pgv_m_s), np.array(curve.annual_rate)
+    velocities, rates = rate.velocities, rate.rates
     slope = np.log(rates[-1] / rates[-2]) / np.log(velocities[-1] / velocities[-2])
     farther = np.clip(np.log(_REMAINING * rates[0] / rates[-1]) / slope, 0.0, math.log(_FARTHEST))
     last = velocities[-1] * math.exp(farther)
     grid = np.unique(np.append(np.geomspace(velocities[0], last, _GRID), velocities))
-    nu = exceedance(velocities, rates, grid)
+    nu = rate.exceeding(grid)
     by_rate, by_size = (nu[0] - nu) / (nu[0] - nu[-1]), np.log(grid / grid[0]) / np.log(grid[-1] / grid[0])
     shares, sizes = 0.5 * (by_rate + by_size), np.log(grid)
     edges = np.exp(np.interp(np.linspace(0.0, 1.0, _ROWS + 1), shares, sizes))
-    mass = -np.diff(exceedance(velocities, rates, edges))
+    mass = -np.diff(rate.exceeding(edges))
     mass[-1] += nu[-1]
     blocks, weights = [], []
     for block in range(BLOCKS):

@@ -10,7 +10,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.progress import Stage, silent
 from activefail.risk.fragility.band import VerifiedLevel, stored, verify
-from activefail.risk.fragility.curve import Curve, Ladder, risk_of
+from activefail.risk.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import NO_RATES, BoundaryFragility, FragilityFindings
 from activefail.risk.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
@@ -86,7 +86,7 @@ def _under_hazard(
 ) -> FragilityFindings:
     """The findings with what a hazard adds: its median, property bounds, pulses and risk."""
     space, boundaries, median = asked.campaign.space, estimator.boundaries, median_intensity(hazard, ladder.name)
-    rates, alone = hazard.settings.curve, None
+    curve, alone = hazard.settings.curve, None
     if hazard.added_dispersion > 0.0 or hazard.bias != 0.0:
         stage("evaluating the curves of the pulses alone")
         at_level = partial(question_at, asked, hazard.without_uncertainty(), ladder.name)
@@ -101,6 +101,7 @@ def _under_hazard(
     stage("finding the pulses that contribute")
     whole = asked.question.integral(boundaries, space).probability
     parts = deaggregated(boundaries, asked.under, hazard, whole)
+    rate = curve and Rate(np.array(curve.pgv_m_s), np.array(curve.annual_rate))
     why = "" if ladder.name == PGV else "the hazard's annual rates are those of PGV, not of A_p"
     outside = asked.question.outside(space)
     few = f"{percent(outside.share)} of the hazard's pulses lie outside the campaign's design space."
@@ -111,16 +112,14 @@ def _under_hazard(
                 one,
                 alone=alone[column] if alone else None,
                 at_median={bound: values[column] for bound, values in at_bounds.items()},
-                risk=risk_of(one.curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate))
-                if rates and not why
-                else None,
+                risk=risk_of(one.curve, rate) if rate and not why else None,
                 deaggregation=parts[column],
             )
             for column, one in enumerate(findings.boundaries)
         ),
         median=median,
         outside_hazard=outside.share,
-        why_no_risk=why if rates else NO_RATES,
+        why_no_risk=why if rate else NO_RATES,
         notes=(*filter(None, [outside.advice or (few if outside.share else "")]), *findings.notes),
     )
 

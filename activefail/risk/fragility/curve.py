@@ -177,51 +177,73 @@ def fit_lognormal(curve: Curve) -> Lognormal | None:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Rate:
+    """How often pulses occur: those of at least the first velocity of a hazard's curve. Weaker ones are left out."""
+
+    velocities: Array  # (m,) of the curve, increasing [m/s]
+    rates: Array  # (m,) at which they are exceeded, decreasing [1/year]
+    years: float = YEARS  # of a risk
+
+    @property
+    def annual(self) -> float:
+        """Rate of pulses of at least `velocity` [1/year]."""
+        return float(self.rates[0])
+
+    @property
+    def velocity(self) -> float:
+        """The least velocity of the curve [m/s]."""
+        return float(self.velocities[0])
+
+    def exceeding(self, levels: Array) -> Array:
+        """Annual rates at which levels, (n,), are exceeded: linear in logarithms, extrapolated by the end's slope."""
+        x, y, at = np.log(self.velocities), np.log(self.rates), np.log(levels)
+        segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        slope = np.diff(y) / np.diff(x)
+        return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
+
+    def risk(self, probability: float) -> float:
+        """The probability of at least one occurrence in these years, given its probability in one pulse."""
+        return -math.expm1(-self.years * self.annual * probability)
+
+    def given_pulse(self, risk: float) -> float:
+        """The probability in one pulse that gives this risk."""
+        return -math.log1p(-risk) / (self.years * self.annual)
+
+
 class Risk(NamedTuple):
-    """The rate of failure λ, and its probability in some years."""
+    """The rate of failure λ, and its probability in some years (`Rate.risk`)."""
 
     annual_rate: float  # λ [1/year]
     years: float  # t
     probability: float  # of at least one failure in these years, 1 − exp(−t λ)
-    share_outside_hazard_curve: float  # of λ: from intensities where the ends of the hazard's curve are extrapolated
+    least_pgv_m_s: float  # where the hazard's curve begins; weaker pulses are left out
+    at_least_pgv: float  # of the fragility curve at this velocity
+    share_outside_hazard_curve: float  # of λ: from intensities where the end of the hazard's curve is extrapolated
     share_above_fragility_curve: float  # of λ: from intensities where the last value of the fragility curve holds
 
 
-def exceedance(velocities: Array, rates: Array, levels: Array) -> Array:
-    """Annual rates at which levels are exceeded: linear in logarithms, extrapolated by the end's slope.
-
-    Args:
-        velocities: (m,) of the hazard's curve, increasing.
-        rates: (m,) decreasing.
-        levels: (n,).
-    """
-    x, y, at = np.log(velocities), np.log(rates), np.log(levels)
-    segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-    slope = np.diff(y) / np.diff(x)
-    return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
-
-
-def risk_of(curve: Curve, velocities: Array, rates: Array) -> Risk:
-    """The risk: λ = ∫ P(v) |dν(v)| with the annual rate ν(v) of exceedance.
+def risk_of(curve: Curve, rate: Rate) -> Risk:
+    """The risk: λ = ∫ P(v) |dν(v)| over pulses of at least the first velocity, with the rate ν(v) of exceedance.
 
     Args:
         curve: P(v), against the intensity of the hazard's curve.
-        velocities, rates: the hazard's curve.
+        rate: of the pulses.
     """
-    low, high = (float(end) for end in np.log(curve.ladder.levels[[0, -1]]))
-    corners = np.log(velocities)
+    low, high = math.log(rate.velocity), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.velocities[-1]))
+    corners = np.log(np.concatenate([rate.velocities, curve.ladder.levels]))
     corners = corners[(corners > low) & (corners < high)]
     logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
     levels = np.exp(logarithms)
-    nu = exceedance(velocities, rates, levels)
+    nu = rate.exceeding(levels)
     middle = np.exp(0.5 * (logarithms[1:] + logarithms[:-1]))
     # Simpson's rule for the probability in each step of the rate.
     average = (curve.at(levels[:-1]) + 4.0 * curve.at(middle) + curve.at(levels[1:])) / 6.0
     parts = average * (nu[:-1] - nu[1:])
     beyond = float(curve.probability[-1] * nu[-1])
-    total = float(parts.sum()) + beyond
+    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.velocity))
     if total <= 0.0:
-        return Risk(0.0, YEARS, 0.0, 0.0, 0.0)
-    within = (middle >= velocities[0]) & (middle <= velocities[-1])
-    inside = float(parts[within].sum())
-    return Risk(total, YEARS, -math.expm1(-YEARS * total), 1.0 - inside / total, beyond / total)
+        return Risk(0.0, rate.years, 0.0, rate.velocity, at_least, 0.0, 0.0)
+    inside = float(parts[middle <= rate.velocities[-1]].sum())
+    risk = rate.risk(total / rate.annual)
+    return Risk(total, rate.years, risk, rate.velocity, at_least, 1.0 - inside / total, beyond / total)

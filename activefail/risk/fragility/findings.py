@@ -289,8 +289,9 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
     if one.risk is not None:
         text = (
             f"{percent(one.risk.probability, 2)} in {one.risk.years:g} years ({one.risk.annual_rate:.2g} a year); "
-            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from velocities outside the hazard "
-            "curve, where the curve is extrapolated"
+            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from velocities above the hazard curve, "
+            f"where it is extrapolated. Pulses below {one.risk.least_pgv_m_s:g} m/s, where it begins, are left out; "
+            f"the probability at this velocity is {percent(one.risk.at_least_pgv)}"
         )
         rows.append(("risk", text))
     if one.deaggregation is not None:
