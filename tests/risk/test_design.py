@@ -3,8 +3,8 @@
 import json
 import math
 import tomllib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from operator import itemgetter
 from pathlib import Path
 
@@ -376,6 +376,44 @@ def test_of_several_ranges_that_meet_the_aim_the_smallest_design_is_taken_and_al
     assert found.is_feasible
     assert 1.0 <= found.values["x"] < 1.01
     assert found.ranges == ((found.values["x"], pytest.approx(2.0, abs=0.01)), (pytest.approx(4.0, abs=0.01), 10.0))
+
+
+@dataclass
+class Counted:
+    """A model that is safe from some value of x on, and the points that it was asked for."""
+
+    least: float
+    points: int = 0
+
+    def __call__(self, values: dict[str, float], points: int) -> Array:
+        self.points += points
+        return np.array([0.1 * math.exp(5.0 * (self.least - values["x"]))])
+
+
+def test_a_variable_with_many_steps_takes_hardly_more_predictions_than_a_continuous_one() -> None:
+    task = task_on(0.45, 1.0, 0.1)
+    in_steps = replace(task, stepped={"x": Parameter("x", 0.45, 1.0, step=0.001)})
+    continuous, stepped = Counted(0.7), Counted(0.7)
+    assert cheapest(task, continuous, np.array([0.1])).values["x"] == pytest.approx(0.7, abs=1e-3)
+    found = cheapest(in_steps, stepped, np.array([0.1]))
+    assert found.is_feasible
+    assert found.values["x"] == pytest.approx(0.7)
+    assert found.ranges == ((pytest.approx(0.7), 1.0),)
+    assert continuous.points <= 20_000
+    assert stepped.points <= 1.5 * continuous.points
+
+
+def test_a_variable_with_steps_is_searched_among_those_that_constraints_allow() -> None:
+    model, steps = Counted(0.7), Parameter("x", 0.45, 1.0, step=0.001)
+    task = replace(task_on(0.45, 1.0, 0.1), stepped={"x": steps})
+
+    class Allowed(DesignTask):
+        def allows(self, values: Mapping[str, float]) -> bool:
+            return 0.713 <= round(values["x"], 3) <= 0.717
+
+    known = {one.name: getattr(task, one.name) for one in fields(task)}
+    allowed = Allowed(**{**known, "constraints": (None,)})
+    assert cheapest(allowed, model, np.array([0.1])).values["x"] == pytest.approx(0.713)
 
 
 def test_a_safe_range_between_two_unsafe_ends_is_named_as_such() -> None:

@@ -392,7 +392,11 @@ def _excess(model: Array, aims: Array) -> float:
 
 
 def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Array, coarse: bool = False) -> Candidate:
-    """The cheapest design along the only free variable not held; the safest one if none meets the aims."""
+    """The cheapest design along the only free variable not held; the safest one if none meets the aims.
+
+    A few values bracket the ends of the ranges that meet them. Roots are found between; of a variable with steps, those
+    between are halved.
+    """
     from scipy.optimize import brentq, minimize_scalar
 
     (name,) = (one for one in task.free if one not in held)
@@ -408,8 +412,14 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
     def cost(x: float) -> float:
         return task.cost({name: x, **held})
 
-    in_steps = name in task.stepped
-    grid = task.stepped[name].values if in_steps else np.linspace(low, high, size)
+    steps = task.stepped[name].values if name in task.stepped else None
+    if steps is not None:
+        steps = steps[[task.allows({name: x, **held}) for x in steps.tolist()]] if task.constraints else steps
+        steps = steps if len(steps) else task.stepped[name].values[:1]  # infeasible
+        places = np.unique(np.linspace(0, len(steps) - 1, size).round().astype(np.int_))
+        grid = steps[places]
+    else:
+        grid = np.linspace(low, high, size)
     excesses = np.array([excess(float(x)) for x in grid])
     if excesses.min() > 0.0:
         x = float(grid[np.argmin(excesses)])
@@ -417,8 +427,14 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
 
     def end(inside: int, outside: int) -> float:
         """The end of a range between two values of the grid; the inner one if there is no outer one."""
-        if in_steps or not 0 <= outside < size:
+        if not 0 <= outside < len(grid):
             return float(grid[inside])
+        if steps is not None:
+            meets, misses = int(places[inside]), int(places[outside])
+            while abs(meets - misses) > 1:
+                middle = (meets + misses) // 2
+                meets, misses = (middle, misses) if excess(float(steps[middle])) <= 0.0 else (meets, middle)
+            return float(steps[meets])
         root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
         # On the safe side of the root's tolerance, with few digits, so that the printed design is the verified one.
         towards = 1.0 if grid[inside] > grid[outside] else -1.0
@@ -432,7 +448,9 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
         ends = end(first, first - 1), end(last, last + 1)
         ranges.append(ends)
         values += [*ends, *grid[first : last + 1].tolist()]
-        if ends[0] < ends[1] and not in_steps:
+        if steps is not None:
+            values += steps[(steps >= ends[0]) & (steps <= ends[1])].tolist()
+        elif ends[0] < ends[1]:
             values.append(float(minimize_scalar(cost, bounds=ends, method="bounded").x))
     x = min(values, key=cost)
     return Candidate({name: x, **held}, probabilities(x), is_feasible=True, ranges=tuple(ranges))
