@@ -33,16 +33,28 @@ RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 def alike(value: float, *others: float) -> list[str]:
     """Probabilities with as many digits after the point as three digits of the first, or of the largest if it is 0.
 
-    Below 0.001 all have its power of ten: ["1.22·10⁻⁴", "1.19·10⁻⁴", "1.24·10⁻⁴"]. A number more than a hundred times
-    smaller or larger has its own.
+    Below 0.001 all have its power of ten if they differ from it by at most a factor of ten, ["1.22·10⁻⁴", "1.19·10⁻⁴",
+    "1.24·10⁻⁴"], or else each has three digits and its own. Above, one that is a hundred times smaller has its own. A
+    larger probability is never shown as a smaller number, nor one below 1 as 1.
     """
+    every = (value, *others)
     of = value or max(others, default=0.0)
     rest = min(of, 1.0 - of)
     exponent = math.floor(math.log10(rest)) if rest > 0.0 else -2
-    power = f"·10{str(exponent).translate(RAISED)}" if rest == of and exponent < -3 else ""
-    scale, places = (10.0**-exponent, 2) if power else (1.0, min(2 - exponent, 8))
-    apart = [p for p in others if p and not 1e-2 < p / of < 1e2 and (power or p < 1e-3)]
-    return [significant(p) if p in apart else f"{p * scale:.{places}f}{power}" if p else "0" for p in (value, *others)]
+    if rest == of and exponent < -3:
+        if any(p and not 0.1 < p / of < 10.0 for p in every):
+            return [significant(p) for p in every]
+        raised = f"·10{str(exponent).translate(RAISED)}"
+        return [f"{p * 10.0**-exponent:.2f}{raised}" if p else "0" for p in every]
+    places = min(2 - exponent, 8)
+
+    def text(p: float) -> str:
+        if not p or p < min(1e-3, 1e-2 * of):
+            return significant(p)
+        shown = f"{p:.{places}f}"
+        return shown if p == 1.0 or float(shown) < 1.0 else f"> 0.{'9' * places}"
+
+    return [text(p) for p in every]
 
 
 def significant(value: float, digits: int = 3) -> str:

@@ -8,8 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from commandline import activefail, refused
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import beta
 
@@ -19,6 +22,7 @@ from activefail.findings.estimates import rounded_up, upper_bound
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
+from activefail.report.environment import probability
 from activefail.shares import alike
 
 CAMPAIGN = """
@@ -158,11 +162,33 @@ def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tm
 
 
 def test_a_probability_and_its_interval_have_equal_digits() -> None:
-    assert alike(1.2194e-4, 1.19e-4, 12.4e-4) == ["1.22·10⁻⁴", "1.19·10⁻⁴", "12.40·10⁻⁴"]
+    assert alike(1.2194e-4, 1.19e-4, 2.4e-4) == ["1.22·10⁻⁴", "1.19·10⁻⁴", "2.40·10⁻⁴"]
+    assert alike(4.1e-4, 5e-6, 84.38e-4) == ["4.10·10⁻⁴", "5.00·10⁻⁶", "0.00844"]
+    assert alike(4.1e-5, 0.0, 84.38e-5) == ["4.10·10⁻⁵", "0", "8.44·10⁻⁴"]
     assert alike(0.0312, 0.03, 0.5) == ["0.0312", "0.0300", "0.5000"]
     assert alike(0.99971, 0.9) == ["0.999710", "0.900000"]
     assert alike(0.0, 0.0, 2.5e-7) == ["0", "0", "2.50·10⁻⁷"]
+    assert alike(0.99971, 0.9, 1.0 - 1e-9, 1.0) == ["0.999710", "0.900000", "> 0.999999", "1.000000"]
     assert alike(1.0, 0.9, 1.0) == ["1.0000", "0.9000", "1.0000"]
+
+
+_NUMBER = re.compile(r"(< |> )?(\d+(?:\.\d+)?)?(?:·?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))?")
+
+
+def read(text: str) -> tuple[float, int]:
+    """The number that a text shows, and whether it is less (-1) or more (1) than that."""
+    match = _NUMBER.fullmatch(text)
+    assert match is not None
+    exponent = int((match[3] or "⁰").translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+    return float(match[2] or 1.0) * 10.0**exponent, {None: 0, "< ": -1, "> ": 1}[match[1]]
+
+
+@given(st.lists(st.one_of(st.floats(-8.0, 0.0), st.floats(0.0, 8.0)), min_size=3, max_size=3))
+def test_the_ends_of_an_interval_are_shown_in_order(logits: list[float]) -> None:
+    low, middle, high = sorted(10.0**x if x < 0.0 else 1.0 - 10.0**-x for x in logits)
+    for texts in (np.array(alike(middle, low, high))[[1, 0, 2]], [probability(p) for p in (low, middle, high)]):
+        shown = [read(text) for text in texts]
+        assert shown == sorted(shown)
 
 
 def test_the_bound_is_that_of_clopper_and_pearson_and_never_rounded_down() -> None:

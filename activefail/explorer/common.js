@@ -36,12 +36,12 @@ export function plain(value) {
   return size !== 0 && (size < 1e-3 || size >= 1e6) ? short.toExponential().replace("e+", "e") : short.toString();
 }
 
-// A probability: a power of ten below 0.01, as many nines as it has above 0.99.
+// A probability: a power of ten below 0.01, its nines, up to six, above 0.99.
 export function share(p) {
   const rest = 1 - p;
   if (p < 1e-6) return "< 10⁻⁶";
   if (rest < 1e-6) return "> 0.999999";
-  return p < 0.01 ? power(p, 2) : p.toFixed(rest < 0.01 ? 1 - Math.floor(Math.log10(rest)) : 2);
+  return p < 0.01 ? power(p, 2) : p.toFixed(rest < 0.01 ? Math.min(6, 1 - Math.floor(Math.log10(rest))) : 2);
 }
 
 // --- fields --------------------------------------------------------------------------------------------------------

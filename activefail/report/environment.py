@@ -21,13 +21,13 @@ def subscripts(text: str) -> Markup:
 
 
 def probability(p: float) -> str:
-    """A probability, as `share` of common.js: a power of ten below 0.01, as many nines as it has above 0.99."""
+    """A probability, as `share` of common.js: a power of ten below 0.01, its nines, up to six, above 0.99."""
     rest = 1.0 - p
     if p < 1e-6:
         return "< 10⁻⁶"
     if rest < 1e-6:
         return "> 0.999999"
-    return power(p, 2) if p < 0.01 else f"{p:.{1 - math.floor(math.log10(rest)) if rest < 0.01 else 2}f}"
+    return power(p, 2) if p < 0.01 else f"{p:.{min(6, 1 - math.floor(math.log10(rest))) if rest < 0.01 else 2}f}"
 
 
 def _shown(value: object) -> object:
