@@ -391,9 +391,10 @@ class SensitivityRequest(Request["SensitivityFindings"]):
         with one_thread():
             severity = run.campaign.simulator.outcomes.index(outcome)
             p_values = variable_p_values(run.space, run.history, severity)
+            beyond = run.history.outcome[run.history.answered] >= severity
             boundaries = BoundariesOf(run.classifier, run.campaign.features)
             options = self.samples, self.confidence, self.begin
-            return sensitivity(asked, boundaries, outcome, *options, run.classifier, p_values)
+            return sensitivity(asked, boundaries, outcome, *options, run.classifier, p_values, beyond)
 
     def write_table(self, findings: "SensitivityFindings", target: Target) -> None:
         from activefail.risk.sensitivity.findings import write_csv

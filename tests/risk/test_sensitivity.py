@@ -126,6 +126,29 @@ def test_a_constant_function_has_no_indices() -> None:
     assert decomposed(lambda U: np.full(len(U), 0.3), "ab", 16, 0.95).indices == ()
 
 
+def test_ripples_of_a_constant_have_no_indices() -> None:
+    assert decomposed(lambda U: 4e-5 + 3e-7 * U[:, 0], "ab", 16, 0.95).indices == ()
+    assert decomposed(lambda U: 1.0 - 4e-5 - 3e-7 * U[:, 0], "ab", 16, 0.95).indices == ()
+    assert len(decomposed(lambda U: 4e-5 * U[:, 0], "ab", 16, 0.95).indices) == 2
+
+
+@pytest.mark.parametrize(("level", "ended"), [(0.35, "No"), (-0.35, "Every")])
+def test_a_campaign_whose_simulations_all_end_alike_has_nothing_to_explain(
+    tmp_path: Path, level: float, ended: str
+) -> None:
+    (tmp_path / "tank.py").write_text(f"def tank(d):\n    return {level}\n")
+    (tmp_path / "tank.toml").write_text(
+        'simulator = { python = "tank:tank", margins = ["freeboard"] }\nsampling = { initial = 8, budget = 8 }\n'
+        "[space]\nlevel = { low = 1, high = 2 }\nPGA = { low = 0.05, high = 0.3 }\n"
+    )
+    assert activefail("run", tmp_path / "tank.toml", "--out", tmp_path / "run").code == 0
+    result = activefail("sensitivity", tmp_path / "run", "--code", tmp_path, "--samples", "64")
+    assert result.code == 0, result.err
+    assert f"{ended} simulation of the campaign ended in failure, so there is nothing to explain" in result.out
+    assert "first index" not in result.out
+    assert "length scales" not in result.out
+
+
 def test_the_indices_of_a_question_are_those_of_its_distributions(campaign: Campaign, tmp_path: Path) -> None:
     file = tmp_path / "asked.toml"
     file.write_text(

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from activefail.acquisition.population import integration_points
@@ -22,9 +23,12 @@ from activefail.reliability.integral import Boundaries, existence
 from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
 from activefail.risk.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
+from activefail.shares import power
 from activefail.simulators.bearing import limits_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.system import ByMargins
+from activefail.visible import or_worse
 from activefail.weighted import WeightedRows
 
 PULSES = 128
@@ -54,6 +58,7 @@ class Varied(NamedTuple):
     space: DesignSpace | None  # of the d variables with indices, which are independent; None without any
     designs: Callable[[Array], Array]  # (n, d) values -> (n p, D) designs of the campaign, p of each
     weight: Array  # (p,) of the designs of each
+    of_indices: str  # what the indices divide, or why there are none
     notes: tuple[str, ...] = ()
 
 
@@ -77,6 +82,7 @@ def sensitivity(
     begin: Begin = uncounted,
     classifier: Classifier | None = None,
     p_values: Mapping[str, float] | None = None,
+    ended_beyond: NDArray[np.bool_] | None = None,
 ) -> SensitivityFindings:
     """Which variables affect the classifier's probability Φ(m/s) of an outcome.
 
@@ -89,6 +95,8 @@ def sensitivity(
         begin: called with the number of evaluations; returns a callback for finished ones.
         classifier: whose length scales stand beside the indices.
         p_values: of the variables by name, beside the indices too.
+        ended_beyond: (n,) whether each simulation of the campaign did. If all are on one side, the probability of a
+            classifier that learned from outcomes has the shape of its prior, and nothing is decomposed.
 
     Raises:
         InputError: if a question's variables are correlated, or rows of a file; if some designs do not exist; if the
@@ -102,6 +110,8 @@ def sensitivity(
     campaign, hazard = asked.campaign, asked.hazard
     column = campaign.simulator.outcomes.index(outcome) - 1
     varied = _of_question(asked.question, outcome) if hazard is None else _under_hazard(asked, outcome)
+    if why := _why_nothing(ended_beyond, classifier, outcome):
+        varied, classifier = varied._replace(space=None, of_indices=why), None
     free, points = varied.space.dimension if varied.space else 0, len(varied.weight)
     samples = checked_samples(samples or default_samples(free, points)) if free else 0
     evaluations = samples * (free + 2) * points
@@ -147,6 +157,7 @@ def sensitivity(
         outside=outside,
         notes=(
             *varied.notes,
+            varied.of_indices,
             *(_notes(decomposition, samples, is_rareness_known=hazard is None) if samples else ()),
             *limits_of(campaign.simulator),
             *(_notes_beside(scales, p_values or {}) if decomposition.indices else ()),
@@ -157,6 +168,19 @@ def sensitivity(
         length_scales=scales,
         p_values=p_values or {},
     )
+
+
+def _why_nothing(ended_beyond: NDArray[np.bool_] | None, classifier: Classifier | None, outcome: str) -> str:
+    """Why there is nothing to decompose, from where the campaign's simulations ended; empty if there is something.
+
+    Margins say how far a boundary is that no simulation crossed.
+    """
+    if ended_beyond is None or classifier is None or isinstance(classifier.latent(outcome), ByMargins):
+        return ""
+    if ended_beyond.any() and not ended_beyond.all():
+        return ""
+    ended, name = "Every" if ended_beyond.any() else "No", or_worse(outcome, classifier.outcomes)
+    return f"{ended} simulation of the campaign ended in {name}, so there is nothing to explain: no Sobol' indices."
 
 
 def _of_question(question: Question, outcome: str) -> Varied:
@@ -180,7 +204,7 @@ def _of_question(question: Question, outcome: str) -> Varied:
             "`--fixed`."
         )
     note = f"The indices divide the variance of the classifier's probability of {outcome} given all variables."
-    return Varied(question, space.parameters, space, question.designs, np.ones(1), (*question.assumptions, note))
+    return Varied(question, space.parameters, space, question.designs, np.ones(1), note, question.assumptions)
 
 
 def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
@@ -225,7 +249,7 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     )
     # Independent: who chooses a design may choose any combination.
     space = DesignSpace(free) if free else None
-    return Varied(question, design, space, under_pulses, weight, (*hazard.assumptions, of_indices, of_moves))
+    return Varied(question, design, space, under_pulses, weight, of_indices, (*hazard.assumptions, of_moves))
 
 
 def _moves(varied: Varied, probability: Callable[[str, float], float]) -> tuple[float, tuple[Move, ...]]:
@@ -246,7 +270,10 @@ def _notes(decomposition: Decomposition, samples: int, is_rareness_known: bool) 
     The bootstrap cannot know of designs that the sample lacks; without a hazard, their number is known.
     """
     if not decomposition.indices:
-        return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
+        return [
+            "The classifier's probability hardly changes with these variables: its standard deviation is "
+            f"{power(decomposition.sd, 2)}. There are no Sobol' indices."
+        ]
     notes = [
         "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
         "not the classifier's error. The first indices add up to at most 1; a total index includes all interactions "

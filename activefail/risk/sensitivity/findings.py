@@ -39,7 +39,7 @@ class SensitivityFindings:
         mean, sd: of the probability over the sampled variables; without an interval. NaN without a sample.
         indices: Sobol' indices, by decreasing total index; empty if nothing is to be explained.
         confidence: of their intervals.
-        samples: points of the sample; 0 if all variables have values.
+        samples: points of the sample; 0 if all variables have values, or nothing is to be explained.
         evaluations: of the classifier.
         units: of the variables, by name; empty for a number.
         outside: share of the sampled designs outside the campaign's space, where the classifier extrapolates.

@@ -16,6 +16,9 @@ LEAST_SAMPLES = 16
 RESAMPLES = 200
 """Resamples of the bootstrap."""
 
+_FLAT = 0.01
+"""Range of a function, over its mean or 1 − its mean, up to which it counts as constant."""
+
 SEED = 1
 """Of the sample and the bootstrap. SALib takes 0 for no seed."""
 
@@ -42,7 +45,7 @@ class Decomposition(NamedTuple):
     mean: float
     sd: float
     rarer: float  # the smaller of Σ y and Σ (1 − y): for a probability, the designs on the rarer side
-    indices: tuple[Index, ...]  # of the variables, in order; empty if the function is constant
+    indices: tuple[Index, ...]  # of the variables, in order; empty if the function is almost constant
 
     @property
     def by_total(self) -> tuple[Index, ...]:
@@ -104,8 +107,8 @@ def decomposed(
     # A and B alone are a sample of the cube.
     plain = np.concatenate([y[:: d + 2], y[d + 1 :: d + 2]])
     mean, sd, rarer = float(plain.mean()), float(plain.std()), float(min(plain.sum(), (1.0 - plain).sum()))
-    # Beyond rounding errors there must be something to explain.
-    if np.ptp(plain) <= 1e-9:
+    # Beyond rounding errors and the ripples of a surrogate there must be something to explain.
+    if np.ptp(plain) <= max(1e-9, _FLAT * min(abs(mean), abs(1.0 - mean))):
         return Decomposition(mean, sd, rarer, ())
     analysed = analysis.analyze(
         problem, y, calc_second_order=False, num_resamples=RESAMPLES, conf_level=confidence, seed=seed
