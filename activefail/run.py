@@ -340,19 +340,24 @@ class Run:
     def _predicting(self, after: int | None = None) -> "Classifier | SavedClassifier":
         """The classifier of all recorded simulations, or of the first ones, for predictions alone.
 
-        It comes from the saved state where this is of all simulations, so that torch is not loaded.
+        It comes from the saved state where this is of all simulations, so that torch is not loaded, unless some designs
+        did not exist, which no state has.
         """
         from activefail.loop.saved_learning import predicting, saved_current
+        from activefail.simulators.interface import is_impossible
 
         with self._turn:
             if self._predicts is None or self._predicts[0] != after:
                 predicts: Classifier | SavedClassifier | None = None
-                if after is None and len(self.history):
+                history = self.history[:after]
+                if is_impossible(self.campaign.simulator, history.outcome, history.cause).any():
+                    predicts = self.classifier if after is None else self.classifier_after(after)
+                elif after is None and len(history):
                     with one_thread_of_blas():
                         predicts = saved_current(self.campaign, self.store)
                 if predicts is None:
                     learned = self.classifier if after is None else self.classifier_after(after)
-                    predicts = predicting(self.campaign, learned, self.history[:after])
+                    predicts = predicting(self.campaign, learned, history)
                 self._predicts = after, predicts
             return self._predicts[1]
 
@@ -417,7 +422,8 @@ class Run:
             One row for each design, in the given order and with the index of a DataFrame: the variables, the
             `likeliest_outcome`, the probability `p_<outcome>` of each outcome, and mean and standard deviation of the
             latent of the target boundary, `latent_mean` and `latent_sd`. The latent is positive where the outcome is
-            probably beyond the boundary.
+            probably beyond the boundary. A design that probably does not exist, by `simulator.lost`, has the likeliest
+            outcome "does not exist" and NaN.
 
         Raises:
             InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.

@@ -1,7 +1,7 @@
 """What a lost run means: unknown, failure or impossible. Learner, stop rule and intervals read it from one place."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,8 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.surrogate.threads import one_thread
+from activefail.verification.error import expected_error, verify
 from activefail.verification.probability_estimator import Estimator, Existing
 
 DIES_BELOW = -2.0
@@ -177,6 +179,45 @@ def test_all_places_give_the_probability_among_the_designs_that_exist() -> None:
     integral = question.integral(BoundariesOf(learned.classifier, campaign.features), campaign.space)
     assert quick == pytest.approx(integral.probability[0], rel=0.02)
     assert quick == pytest.approx(float(ndtr(-1.0 / 1.01**0.5)), rel=0.15)
+
+
+def test_an_error_is_that_of_the_designs_that_exist() -> None:
+    # A sixth of the designs do not exist.
+    campaign, store, learned = taken(Dies(margins=(), impossible=(0,), at=0.3, below=-1.0), sampling__budget=60)
+    with ThreadExecutor(1) as executor, one_thread():
+        last = History.of(store.batches).last_iteration
+        estimator = Estimator(campaign, store, executor, learned.classifier, last)
+        error = verify(estimator, 200, 0.9)
+    assert error.nonexistent > 0
+    assert error.simulations + error.nonexistent == error.requested == 200
+    X = campaign.space.random(20_000, np.random.default_rng(5))
+    X = X[X[:, 1] >= -1.0]
+    beyond = 0.3 - X[:, 0] - 0.1 * X[:, 1] <= 0.0
+    wrong = (learned.classifier.latents[0].moments(campaign.features(X)).mean > 0.0) != beyond
+    assert error.low <= wrong.mean() <= error.high < wrong.mean() + 0.05
+    assert "gave no result" not in error.in_words[1]
+    assert f"({error.nonexistent} designs that do not exist left out)" in error.in_words[1]
+    # What it expects where designs do not exist, whose outcome it never saw, is no error.
+    everywhere = replace(learned.classifier, impossible=None)
+    assert expected_error(campaign, learned.classifier) < expected_error(campaign, everywhere)
+
+
+def test_a_design_that_does_not_exist_is_predicted_to_be_so(tmp_path: Path) -> None:
+    (tmp_path / "limit.py").write_text(SIMULATOR)
+    (tmp_path / "made.toml").write_text(
+        'simulator = { python = "limit:run", margins = ["g"], lost = "impossible" }\n'
+        "sampling = { initial = 40, budget = 40 }\nspace.x = { distribution = 'normal', mean = 0, sd = 1 }\n"
+        "space.y = { distribution = 'normal', mean = 0, sd = 1 }\n"
+    )
+    (tmp_path / "designs.csv").write_text("x,y\n0.0,-2.5\n0.0,1.0\n4.0,1.0\n")
+    assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
+    asked = ("--csv", tmp_path / "designs.csv", "--out", tmp_path / "predicted.csv", "--code", tmp_path)
+    for after in ((), ("--after", "40")):
+        result = activefail("predict", tmp_path / "run", *asked, *after)
+        assert result.code == 0, result.err
+        rows = (tmp_path / "predicted.csv").read_text().splitlines()[1:]
+        assert rows[0] == "0.0,-2.5,does not exist,,,,"
+        assert [row.split(",")[2] for row in rows[1:]] == ["safe", "failure"]
 
 
 def test_hidden_failure_is_looked_for_where_designs_exist() -> None:

@@ -29,6 +29,7 @@ from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary, interval, predict
+from activefail.shares import percent
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
 from activefail.visible import or_worse, visible
@@ -176,8 +177,12 @@ class Answers:
         if broken := [one.text for one in self.space.constraints if not one.holds(quantities)]:
             absent = f"No such design exists: it breaks {' and '.join(broken)}."
             return {"probabilities": [], "boundaries": [], "absent": absent}
-        predicted = self.findings.classifier.predicted(np.array([point]))
-        boundaries = []
+        classifier, X = self.findings.classifier, np.array([point])
+        exists = float(classifier.existence(X)[0])
+        if exists < 0.5:
+            absent = f"This design does not exist with a probability of {percent(1.0 - exists)}, by the simulations."
+            return {"probabilities": [], "boundaries": [], "absent": absent}
+        predicted, boundaries = classifier.predicted(X), []
         for severity, name in enumerate(self.outcomes[1:], start=1):
             low, high = (float(end[0]) for end in interval(predicted, severity))
             probability = float(predicted.beyond(severity)[0])

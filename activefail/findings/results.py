@@ -70,8 +70,12 @@ def information(predicted: Predicted, severity: int) -> Array:
 def predict(
     campaign: Campaign, classifier: Classifier, X: Array, possible: NDArray[np.bool_] | bool = True
 ) -> Prediction:
-    """Predict the outcomes of designs, (n, d); those that break a constraint, or are not possible, do not exist."""
+    """Predict the outcomes of designs, (n, d).
+
+    Those that break a constraint, are not possible, or probably do not exist by the simulations have NaN.
+    """
     exists = campaign.space.meets_constraints(X) & possible
+    exists &= classifier.existence(X) >= 0.5
     # Not every model predicts for no design at all.
     predicted = classifier.predicted(X[exists] if exists.any() else X[:1])
     moments = predicted.moments[campaign.severity - 1]

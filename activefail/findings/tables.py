@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 
+DOES_NOT_EXIST = "does not exist"
+"""Likeliest outcome of a design that probably does not exist."""
+
 Advance = Callable[[int], None]
 
 
@@ -131,11 +134,15 @@ def outside_in_words(space: DesignSpace, designs: int, first: Array) -> str:
 
 
 def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassifier", X: Array) -> list[list[Any]]:
-    """The columns of `predicted_columns` for designs, (n, d)."""
-    predicted = classifier.predicted(X)
+    """The columns of `predicted_columns` for designs, (n, d); those that probably do not exist have no numbers."""
+    predicted, exists = classifier.predicted(X), classifier.existence(X) >= 0.5
     moments = predicted.moments[campaign.severity - 1]
-    likeliest = [classifier.outcomes[place] for place in predicted.probabilities.argmax(axis=1)]
-    return [likeliest, *predicted.probabilities.T.tolist(), moments.mean.tolist(), moments.sd.tolist()]
+    likeliest = [
+        classifier.outcomes[place] if is_there else DOES_NOT_EXIST
+        for place, is_there in zip(predicted.probabilities.argmax(axis=1), exists, strict=True)
+    ]
+    numbers = np.where(exists, [*predicted.probabilities.T, moments.mean, moments.sd], np.nan)
+    return [likeliest, *numbers.tolist()]
 
 
 def designs_of(campaign: Campaign, X: Any) -> Array:
@@ -269,7 +276,7 @@ def predict_table(
         first = np.concatenate([first, X[is_outside]])[:1]
         columns = _predicted_values(campaign, classifier, X)
         advance(len(X))
-        return [list(row) for row in zip(*columns, strict=True)]
+        return [list(map(_cell, row)) for row in zip(*columns, strict=True)]
 
     _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
     if outside:

@@ -263,7 +263,7 @@ def _commands(findings: Findings, evidence: Evidence, done: int, risk: RiskFindi
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in curve.scores}))
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {curve.test_size + curve.unanswered}")
     if error := evidence.error or (evidence.surface and evidence.surface.as_json()):
-        asked = f"--simulations {error['simulations'] + error['numerical_failures']}"
+        asked = f"--simulations {error['simulations'] + error['numerical_failures'] + error.get('nonexistent', 0)}"
         asked += f" --confidence {error['confidence']:g}" if error["confidence"] != 0.9 else ""
         commands.append(f"activefail verify {folder} {asked}")
     return [*commands, f"activefail report {folder}{f' {risk.request.options}' if risk else ''}"]

@@ -47,6 +47,12 @@ class Classifier:
         lost = [latent.moments(F).probability for latent in (self.unknown, self.impossible) if latent is not None]
         return np.asarray(np.prod([np.ones(len(F)), *(1.0 - p for p in lost)], axis=0))
 
+    def existence(self, X: Array) -> Array:
+        """Probability that designs, (n, d), exist, (n,)."""
+        if self.impossible is None:
+            return np.ones(len(X))
+        return np.asarray(1.0 - self.impossible.moments(self.features(X)).probability)
+
     def latent(self, outcome: str) -> "AnyLatent":
         """The latent of the boundary below the named outcome."""
         return self.latents[self.outcomes.index(outcome) - 1]

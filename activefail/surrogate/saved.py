@@ -145,7 +145,7 @@ class SavedSystem:
 
 @dataclass(frozen=True)
 class SavedClassifier:
-    """The latents of a trained classifier.
+    """The latents of a trained classifier of a campaign whose designs all exist.
 
     Attributes:
         outcomes: names, least severe first.
@@ -162,6 +162,10 @@ class SavedClassifier:
     def predicted(self, X: Array) -> Predicted:
         """As for `Classifier`."""
         return predicted(self, X)
+
+    def existence(self, X: Array) -> Array:
+        """As for `Classifier`."""
+        return np.ones(len(X))
 
 
 def saved_classifier(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.moments import Moments
@@ -39,14 +39,15 @@ class ErrorEstimate:
     """An estimate of the classifier's error with its interval.
 
     Attributes:
-        error: estimated share of the design space that is misclassified.
+        error: estimated share of the designs that exist that is misclassified.
         low, high: two-sided interval of the error, with equal tails.
         confidence: of the interval.
         count: misclassified designs by part; numerical failures count as misclassified.
         simulations: fresh simulations with an outcome.
         misclassified: how many of these are.
         expected: error that the classifier's own probabilities predict.
-        requested: all fresh simulations, including numerical failures.
+        requested: all fresh simulations, including numerical failures and designs that do not exist.
+        nonexistent: fresh simulations that say that their design does not exist; they count for nothing.
     """
 
     error: float
@@ -58,6 +59,7 @@ class ErrorEstimate:
     misclassified: int
     expected: float
     requested: int
+    nonexistent: int = 0
 
     @property
     def in_words(self) -> tuple[str, str]:
@@ -66,13 +68,15 @@ class ErrorEstimate:
 
     def as_json(self) -> dict[str, float | int]:
         """The estimate as JSON values; `docs/reference/json.md` describes the keys."""
+        absent = {"nonexistent": self.nonexistent} if self.nonexistent else {}
         return {
             "error": self.error,
             "low": self.low,
             "high": self.high,
             "confidence": self.confidence,
             "simulations": self.simulations,
-            "numerical_failures": self.requested - self.simulations,
+            "numerical_failures": self.requested - self.simulations - self.nonexistent,
+            **absent,
             "misclassified": self.misclassified,
             "expected": self.expected,
         }
@@ -104,8 +108,9 @@ class Verification:
         designs: (n, d), ordered by part.
         part: (n,) part of each design.
         predicted: (n,) bool, whether the classifier puts the design beyond the boundary.
-        volumes: (5,) of the parts.
+        volumes: (5,) of the parts, as shares of the designs that exist by the classifier.
         expected: (5,) the classifier's mean probability of being wrong in each part.
+        pool: number of random designs that estimated the volumes.
     """
 
     designs: Array
@@ -113,23 +118,33 @@ class Verification:
     predicted: NDArray[np.bool_]
     volumes: Array
     expected: Array
+    pool: int = POOL
 
 
 def planned(estimator: "Estimator", simulations: int) -> Verification:
-    """The plan that verifies a classifier: fresh designs, random within each part."""
+    """The plan that verifies a classifier: fresh designs, random within each part.
+
+    Designs of which the classifier is sure that they do not exist are left out.
+    """
     campaign = estimator.campaign
     rng = stream(campaign.settings.seed, "verification", estimator.iteration)
     pool = campaign.space.random(POOL, rng)
+    existence = estimator.classifier.existence(pool)
+    if (exists := existence >= EDGES[0]).any():
+        pool, existence = pool[exists], existence[exists]
     moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
     doubt = probability_wrong(moments)
     part = np.searchsorted(EDGES, doubt, side="right")
     parts = len(EDGES) + 1
     counts = np.bincount(part, minlength=parts)
-    volumes = counts / POOL
-    expected = np.bincount(part, weights=doubt, minlength=parts) / np.maximum(counts, 1)
+    of_parts, doubts = (
+        np.asarray(np.bincount(part, weights=weight, minlength=parts), dtype=np.float64)
+        for weight in (existence, doubt * existence)
+    )
+    volumes, expected = of_parts / existence.sum(), doubts / np.where(of_parts > 0.0, of_parts, 1.0)
     numbers = np.minimum(allotted(volumes, expected, simulations), counts)
     rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
-    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
+    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected, len(pool))
 
 
 def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
@@ -149,28 +164,34 @@ def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
 
 
 def estimate_error(
-    plan: Verification, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+    plan: Verification,
+    beyond: NDArray[np.bool_],
+    answered: NDArray[np.bool_],
+    confidence: float,
+    exists: NDArray[np.bool_] | None = None,
 ) -> ErrorEstimate:
     """Estimate the error from the outcomes of a plan.
 
     Numerical failures are not random, and may be misclassified: the upper end of the interval counts all of them as
-    misclassified, the lower end none.
+    misclassified, the lower end none. Designs that do not exist are no part of the space, and those that do are a
+    random sample of those of their part.
 
     Args:
         plan: the fresh simulations.
         beyond: (n,) whether each planned design is beyond the boundary.
         answered: (n,) whether it has an outcome.
         confidence: of the interval.
+        exists: (n,) whether it exists; all if None.
     """
     parts = len(EDGES) + 1
     misclassified = (plan.predicted != beyond) & answered
 
     def counted(designs: NDArray[np.bool_], hits: NDArray[np.bool_]) -> StratifiedCount:
         n, x = (np.bincount(plan.part[rows], minlength=parts).astype(np.float64) for rows in (designs, hits))
-        return StratifiedCount(plan.volumes, n, x, POOL)
+        return StratifiedCount(plan.volumes, n, x, plan.pool)
 
-    everything = np.ones(len(answered), dtype=bool)
-    count = counted(everything, misclassified | ~answered)
+    everything = np.ones(len(answered), dtype=bool) if exists is None else exists
+    count = counted(everything, (misclassified | ~answered) & everything)
     one_sided = 0.5 + confidence / 2
     return ErrorEstimate(
         counted(answered, misclassified).estimate(plan.expected),
@@ -182,20 +203,22 @@ def estimate_error(
         int(misclassified.sum()),
         float(plan.volumes @ plan.expected),
         len(answered),
+        int((~everything).sum()),
     )
 
 
 def expected_error(campaign: Campaign, classifier: "Classifier | SavedClassifier") -> float:
     """The error that the classifier expects: its mean probability of being wrong about the target boundary."""
     pool = campaign.space.sobol(POOL // 4, np.random.default_rng(0))
-    latent = classifier.latents[campaign.severity - 1]
-    return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
+    doubt = probability_wrong(classifier.latents[campaign.severity - 1].moments(campaign.features(pool)))
+    existence = classifier.existence(pool)
+    return float(doubt @ existence / existence.sum())
 
 
 def could_show(plan: Verification, error: float, confidence: float) -> bool:
     """Whether a plan would show an error of at most `error` if half as many are wrong as the classifier expects."""
     counted = np.bincount(plan.part, minlength=len(EDGES) + 1).astype(np.float64)
-    return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected, POOL).upper(confidence) <= error
+    return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected, plan.pool).upper(confidence) <= error
 
 
 def least_simulations(error: float, confidence: float) -> int:
@@ -243,4 +266,6 @@ def _names(estimator: "Estimator", simulations: int) -> tuple[str, str]:
 
 
 def _judged(campaign: Campaign, plan: Verification, results: Results, confidence: float) -> ErrorEstimate:
-    return estimate_error(plan, results.outcome >= campaign.severity, results.outcome != NUMERICAL_FAILURE, confidence)
+    exists = ~is_impossible(campaign.simulator, results.outcome, results.cause)
+    answered = results.outcome != NUMERICAL_FAILURE
+    return estimate_error(plan, results.outcome >= campaign.severity, answered, confidence, exists)

@@ -145,12 +145,13 @@ def error_of(digest: str) -> tuple[str, ...]:
 
 def error_in_words(error: Mapping[str, Any]) -> tuple[str, str]:
     """A verified error with its interval, and what it rests on, from its numbers in JSON."""
-    simulations, lost = error["simulations"], error["numerical_failures"]
-    requested = f" of {simulations + lost}" if lost else ""
+    simulations, lost, absent = error["simulations"], error["numerical_failures"], error.get("nonexistent", 0)
+    requested = f" of {simulations + lost + absent}" if lost or absent else ""
     way_out = "simulator.lost of a new campaign says what that means"
     widened = f" ({lost} gave no result, which widens it; {way_out})" if lost else ""
+    left_out = f" ({absent} designs that do not exist left out)" if absent else ""
     text = f"{percent(error['error'], 2)} ({interval_percent(error['low'], error['high'])})"
-    return text, f"{simulations}{requested} fresh simulations{widened}"
+    return text, f"{simulations}{requested} fresh simulations{left_out}{widened}"
 
 
 def verified_in_words(error: Mapping[str, Any]) -> str:
