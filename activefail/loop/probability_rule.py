@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.acquisition.by_margin import SIZE
+from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.errors import DamagedError
@@ -194,7 +195,7 @@ def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
 def check_designs(
     campaign: Campaign, simulated: Array, looks: Looks, classifier: Classifier, rng: np.random.Generator
 ) -> Array:
-    """The designs of a check, (4 + 2 d, d).
+    """The designs of a check, (4 + 2 d, d), far from all simulated ones in the features: choices have no order.
 
     Args:
         campaign: the campaign.
@@ -203,7 +204,10 @@ def check_designs(
         classifier: knows where designs exist.
         rng: generator of the places.
     """
-    space = campaign.space
-    count = designs_of_check(space.dimension)
-    exists = BoundariesOf(classifier, campaign.features).exists
-    return hidden_places(space, space.to_normal(simulated), looks.probability, count, rng, exists=exists)
+    space, features = campaign.space, campaign.features
+
+    def seen(Z: Array) -> Array:
+        return finite(features, space.from_normal(Z))
+
+    exists, count = BoundariesOf(classifier, features).exists, designs_of_check(space.dimension)
+    return hidden_places(space, finite(features, simulated), looks.probability, count, rng, seen, exists)

@@ -16,7 +16,7 @@ from activefail.findings.learned_from import choices_in_words
 from activefail.loop.asking import ask
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
-from activefail.loop.probability_rule import Looks, contradicted
+from activefail.loop.probability_rule import Looks, check_designs, contradicted
 from activefail.loop.progress import Observer
 from activefail.loop.running import run
 from activefail.loop.telling import add, drop, tell
@@ -25,6 +25,7 @@ from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 from activefail.surrogate import margin
+from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
 
 PROBABILITY = 2.2225e-3
@@ -143,6 +144,22 @@ def test_truncated_margins_are_learned_from_too() -> None:
     learned = current(campaign, store, write=False)
     assert learned.classifier.latents[0].trained.data.truncated
     assert learned.looks.probability == pytest.approx(PROBABILITY, rel=0.35)
+
+
+def test_a_check_reaches_a_rare_choice_that_was_never_simulated() -> None:
+    # It lies in the middle of thirty choices, of which any two are equally different.
+    shares, rare = np.roll([0.01, *[0.99 / 29] * 29], 14), 14
+    kind = {"choices": [f"c{number}" for number in range(30)], "probabilities": shares.tolist()}
+    x = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
+    settings = CampaignSettings().changed({"space": {"x": x, "kind": kind}, "classifier.features": "design"})
+    campaign = Campaign.of(settings, simulator=FourBranch())
+    looks = Looks(np.array([[0.0, 0.01, 0.001, 0.0]]))
+    classifier = Classifier(("safe", "failure"), campaign.features, ())
+    for seed in range(3):
+        X = campaign.space.random(60, np.random.default_rng(seed))
+        simulated = X[X[:, 1] != rare][:40]
+        places = check_designs(campaign, simulated, looks, classifier, np.random.default_rng(100 + seed))
+        assert rare in places[:, 1]
 
 
 def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> None:
