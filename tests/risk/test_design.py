@@ -332,6 +332,31 @@ def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> N
         assert 0.01 < found.missable < 0.05
 
 
+@dataclass
+class Pessimist(MadeEstimator):
+    """Its classifier believes that large capacities fail too, more often the larger they are."""
+
+    def standardised(self, outcome: str) -> Callable[[Array], Array]:
+        return lambda X: np.maximum(limit(X) / self.sd, np.minimum(X[:, 0] - 1.3, 1.0) - 1.2 + np.log(X[:, 3]))
+
+
+def test_a_target_that_a_larger_design_meets_is_not_called_out_of_reach() -> None:
+    found = find_design(Pessimist(1.0, 0.1, 0), task_of(question_of(), 0.05, 1000))  # type: ignore[arg-type]
+    nearest, end = found.looks[0], found.looks[1]
+    assert not nearest.candidate.is_feasible
+    assert nearest.exceeds(np.array([0.05]))
+    assert nearest.candidate.values["capacity"] < 1.9
+    assert end.candidate.values["capacity"] == 6.0
+    assert (found.status, found.values["capacity"]) == ("verified", 6.0)
+
+
+def test_a_target_is_out_of_reach_if_the_end_of_the_range_exceeds_it() -> None:
+    task = replace(task_of(question_of(), 0.05), high={"capacity": 1.5})
+    found = find_design(MadeEstimator(1.0, 0.1, 0), task)  # type: ignore[arg-type]
+    assert (found.status, found.values["capacity"]) == ("out of reach", 1.5)
+    assert found.result.exceeds(np.array([0.05]))
+
+
 def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:
     question = question_of()
     sampled = MadeEstimator(1.0, 0.1, 0).sample("failure", 100, question)

@@ -229,6 +229,12 @@ class DesignFindings:
                     "contradict the classifier where it was sure, so its boundary is wrong there. Continue the "
                     "campaign, then search again."
                 )
+            case "not verified" if designed.is_above and not designed.result.candidate.is_feasible:
+                return (
+                    "Not verified: according to the classifier, no design within the ranges meets the target. Of the "
+                    "nearest one, shown here, even a lower bound from fresh simulations exceeds it. The classifier may "
+                    "be wrong elsewhere: continue the campaign, then search again."
+                )
             case "not verified":
                 return (
                     f"Not verified: after {len(designed.looks)} looks, an upper bound still exceeds its target. More "
@@ -237,7 +243,7 @@ class DesignFindings:
             case _:
                 return (
                     "Out of reach: according to the classifier, no design within the ranges meets the target. Fresh "
-                    "simulations confirm this for the nearest design, shown here."
+                    "simulations confirm this at the end of the ranges, shown here: even a lower bound exceeds it."
                 )
 
     @property

@@ -96,6 +96,10 @@ class Look:
         """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
         return sum(estimate.surprising for estimate in self.estimates)
 
+    def exceeds(self, targets: Array) -> bool:
+        """Whether even a lower bound exceeds its target, (r,)."""
+        return any(one.low > target for one, target in zip(self.estimates, targets.tolist(), strict=True))
+
 
 def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float]) -> bool:
     """Whether a look verifies a design: the rule of "verified".
@@ -118,8 +122,8 @@ class Designed:
         looks: at candidates, in the order in which they were proposed.
         number: of the look at the result, from 1 on: the cheapest verified design, or else the last look.
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
-            classifier where it was sure; "out of reach" if simulations show that the nearest design under the
-            classifier exceeds a target.
+            classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
+            simulations show that one at the end of the ranges exceeds a target.
     """
 
     task: DesignTask
@@ -162,16 +166,26 @@ class Designed:
     @property
     def at_limit(self) -> dict[str, str]:
         """Free variables whose value is a limit of their range, and which limit."""
-        sides = {}
-        for name, value in self.values.items():
-            if name in self.task.choices:
-                continue
-            near = 2.0 * _FINE * (self.task.high[name] - self.task.low[name])
-            if value <= self.task.low[name] + near:
-                sides[name] = "lower"
-            elif value >= self.task.high[name] - near:
-                sides[name] = "upper"
-        return sides
+        return _sides(self.task, self.values)
+
+    @property
+    def is_above(self) -> bool:
+        """Whether even the lower bound of the result exceeds a target."""
+        return self.result.exceeds(self.task.targets)
+
+
+def _sides(task: DesignTask, values: Mapping[str, float]) -> dict[str, str]:
+    """The free variables, but choices, whose value is a limit of their range, and which limit."""
+    sides = {}
+    for name, value in values.items():
+        if name in task.choices:
+            continue
+        near = 2.0 * _FINE * (task.high[name] - task.low[name])
+        if value <= task.low[name] + near:
+            sides[name] = "lower"
+        elif value >= task.high[name] - near:
+            sides[name] = "upper"
+    return sides
 
 
 Model = Callable[[Mapping[str, float], int], Array]
@@ -204,6 +218,9 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     smaller and is looked at with fresh simulations of its own: those that chose a design never verify it. The looks
     share the probability of a false result. The search ends when they are spent, or when a design is verified and the
     next proposal would be cheaper by less than `WORTH`. The cheapest verified design is the result.
+
+    If no design meets the targets by the classifier, and the nearest one exceeds them by simulations, the safest end of
+    the ranges is looked at, because the classifier may be wrong there.
     """
     model = _model_of(estimator, task)
     looks: list[Look] = []
@@ -234,6 +251,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             found = np.array([estimate.probability for estimate in looks[-1].estimates])
             aims = _corrected(aims, looks[-1].candidate.model, found)
         candidate = cheapest(task, model, aims)
+        if looks and looks[-1].exceeds(task.targets) and not (candidate.is_feasible or looks[-1].candidate.is_feasible):
+            candidate = _safest_end(task, model, aims)
         if candidate.is_feasible:
             # The search's integrals have few points; how far off they are hardly depends on the design.
             of_search = np.maximum(candidate.model, _LEAST)
@@ -254,14 +273,23 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
         if look.surprising:
             break
-        # The nearest design: if even its lower bound exceeds a target, another look cannot help.
-        if not candidate.is_feasible and any(
-            estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
-        ):
-            return Designed(task, tuple(looks), number + 1, "out of reach")
+        # Of the nearest design even a lower bound exceeds a target: only the end of the ranges may still help.
+        if not candidate.is_feasible and look.exceeds(task.targets):
+            if len(_sides(task, candidate.values)) == len(task.free):
+                return Designed(task, tuple(looks), number + 1, "out of reach")
+            if task.choices:
+                break
     if verified:
         return Designed(task, tuple(looks), min(verified)[1], "verified")
     return Designed(task, tuple(looks), len(looks), "not verified")
+
+
+def _safest_end(task: DesignTask, model: Model, aims: Array) -> Candidate:
+    """The end of the ranges of all free variables, which have no choices, that is safest by the classifier."""
+    corners = itertools.product(*zip(task.low.values(), task.high.values(), strict=True))
+    ends = [dict(zip(task.free, corner, strict=True)) for corner in corners]
+    values = min(ends, key=lambda end: _excess(model(end, task.points), aims))
+    return Candidate(values, model(values, task.points), is_feasible=False)
 
 
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
