@@ -3,16 +3,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/paper
-PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
+# Python compiles a module when it is first imported. To compile all of them here would take half of the installation.
+PIP = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: paper test test-tools test-faults test-all check doctor before-tests faults docs reproduction benchmark clean help
+.PHONY: paper test test-tools test-slow test-faults test-all check doctor before-tests faults docs reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run the checks: lint, types, imports and tests"
 	@echo "make test-tools   those of the tests that need what make does not install: a browser, OpenSees, records"
+	@echo "make test-slow    those of the tests that take long"
 	@echo "make test-faults  install, try a few states of each fault of the fault suite (docs/reliability.md)"
-	@echo "make test-all     all of them with the exhaustive tests: more cases, and claims that take long to test"
+	@echo "make test-all     all of them with the exhaustive tests: more cases, and claims that take very long to test"
 	@echo "make faults       install, try every state of the fault suite"
 	@echo "make docs         install, build the site of the documentation in build/docs"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
@@ -57,11 +59,14 @@ before-tests: $(VENV)/.installed
 PYTEST = $(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test: before-tests
-	$(PYTEST) -m "not faults"
+	$(PYTEST) -m "not faults and not slow"
 
 # Without what they need they are skipped (tests/tools.py).
 test-tools: $(VENV)/.installed
-	$(PYTEST) -m needs
+	$(PYTEST) -m "needs and not slow"
+
+test-slow: $(VENV)/.installed
+	$(PYTEST) -m "slow and not faults"
 
 # With strace (Debian: apt install strace) the fault suite also kills programs at their system calls.
 test-faults: $(VENV)/.installed

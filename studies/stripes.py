@@ -20,9 +20,10 @@ of the 44 capacities, to 2 %.
 beside one by the ladder.
 
 `intervals`: a made-up limit state of 44 values in 14 groups, as records in events, drawn anew in each repetition from a
-population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Each
-repetition is a campaign with three questions. The intervals are judged by the share of these values, and of the
-population.
+population without end. A part of it is hidden: no feature shows it, so the classifier is wrong where it is sure. Or a
+share of the values is irregular: at the asked design alone they end on the other side, so that no campaign shows it;
+with equal weights and with lognormal ones. Each repetition is a campaign with three questions. The intervals are judged
+by the share of these values, and of the population.
 
 `halves`: the interval of other records from half of the events. The truth is the share of all records, or of the other
 half, which has a sampling error of its own.
@@ -299,9 +300,13 @@ MADE_UP = {
 
 
 class MadeUp:
-    """A limit state 1.4 x + 0.4 y f₁ + 0.7 (e + f₀) + c h > 1.6 with normal e of a group, f and h of a value."""
+    """A limit state 1.4 x + 0.4 y f₁ + 0.7 (e + f₀) + c h > 1.6 with normal e of a group, f and h of a value.
+
+    Of the values of a question, those that are irregular end on the other side.
+    """
 
     def __init__(self, hidden, rng):
+        self.irregular = {}
         of_group, self.hidden = rng.normal(size=len(SIZES))[GROUP], hidden
         f = rng.normal(size=(44, 2))
         self.seen, self.other = of_group + f[:, 0], f[:, 1]
@@ -311,7 +316,9 @@ class MadeUp:
     def fails(self, X):
         x, y, record = X.T
         k = record.astype(int)
-        return 1.4 * x + 0.4 * y * self.other[k] + 0.7 * self.seen[k] + self.hidden * self.unseen[k] > 1.6
+        regular = 1.4 * x + 0.4 * y * self.other[k] + 0.7 * self.seen[k] + self.hidden * self.unseen[k] > 1.6
+        none = np.zeros(44, bool)
+        return regular ^ [self.irregular.get(at, none)[one] for at, one in zip(x.tolist(), k, strict=True)]
 
     def probability(self, x, y):
         """Of the population."""
@@ -333,39 +340,54 @@ def made_up_features(X, space):
 
 def intervals(options):
     """How often both intervals hold, and what they cost."""
-    head("hidden", "wrong", "questions", "runs", "error [points]", "wrong where sure", "these hold", "others hold")
-    for hidden in options.hidden:
+    head(
+        "hidden", "irregular", "weights", "question", "number", "runs", "error [points]", "wrong where sure",
+        "these hold", "width [points]", "others hold",
+    )  # fmt: skip
+    cases = [(hidden, 0.0, False) for hidden in options.hidden]
+    cases += [(0.0, irregular, uneven) for irregular in options.irregular for uneven in (False, True)]
+    for hidden, irregular, uneven in cases:
         rows = []
         for seed in range(options.repetitions):
             rng = np.random.default_rng([seed, int(100 * hidden)])
             CASE[0] = case = MadeUp(hidden, rng)
+            weight = np.exp(rng.normal(size=44)) if uneven else np.ones(44)
+            weight /= weight.sum()
+            space = MADE_UP | {"record": MADE_UP["record"] | {"probabilities": weight.tolist()}}
             of_case = {"python": "stripes:made_up_features", "variables": False}
-            found = learned_campaign(case.fails, MADE_UP, of_case, options.runs, seed)
+            found = learned_campaign(case.fails, space, of_case, options.runs, seed)
             with ThreadExecutor(1) as executor, one_thread():
                 asks = asking(found, executor)
-                for _ in range(3):
+                for number in range(3):
                     x, y = rng.uniform(-0.6, 1.2), rng.uniform(0.0, 2.0)
+                    case.irregular[x] = rng.random(44) < irregular
                     truth = case.fails(np.column_stack([np.full(44, x), np.full(44, y), np.arange(44.0)]))
                     stripe = asks.ask(
                         asked_of("study", found.campaign.space, {}, {"x": x, "y": y}), "failure", options.wrong[0]
                     )
                     values = replace(stripe.values, group=GROUP)
-                    stripe = replace(stripe, values=values)
+                    stripe, exact, these = replace(stripe, values=values), weight @ truth, stripe.of_these(CONFIDENCE)
                     rows.append(
                         (
+                            number,
                             stripe.new,
-                            100.0 * abs(stripe.probability - truth.mean()),
+                            100.0 * abs(stripe.probability - exact),
                             (stripe.beyond != truth).sum() / max(1, stripe.predicted.sum()),
-                            holds(stripe.of_these(CONFIDENCE), truth.mean()),
+                            holds(these, exact),
+                            100.0 * (these.high - these.low),
                             holds(stripe.of_others(CONFIDENCE), case.probability(x, y)),
                         )
                     )
-            print(f"hidden {hidden} seed {seed}: {rows[-3:]}", file=sys.stderr)
-        runs, errors, wrong, these, others = map(np.array, zip(*rows, strict=True))
-        error = f"{errors.mean():.2f} (to {errors.max():.1f})"
-        line(
-            hidden, options.wrong[0], len(rows), spread(runs, 0), error, percent(wrong), percent(these), percent(others)
-        )
+            print(f"{hidden} {irregular} {uneven} seed {seed}: {rows[-3:]}", file=sys.stderr)
+        for numbers in ((0,), (1, 2)):
+            some = [one for one in rows if one[0] in numbers]
+            _, runs, errors, wrong, these, widths, others = map(np.array, zip(*some, strict=True))
+            error = f"{errors.mean():.2f} (to {errors.max():.1f})"
+            line(
+                hidden, irregular, "unequal" if uneven else "equal", "first" if numbers == (0,) else "further",
+                len(some), spread(runs, 0), error, percent(wrong), percent(these), f"{widths.mean():.0f}",
+                percent(others) if irregular == 0.0 else "",
+            )  # fmt: skip
 
 
 def halves(options):
@@ -400,6 +422,7 @@ if __name__ == "__main__":
         velocity=1.2,
         wrong=[0.01],
         hidden=[0.0, 0.3, 0.8],
+        irregular=[0.01, 0.03, 0.05, 0.1],
     )
     {
         "questions": questions,

@@ -202,6 +202,7 @@ def under_record(design: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in design.items() if name not in ("T_p", "A_p")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("A_p", [0.15, 0.3, 0.6])
 def test_a_sampled_pulse_moves_the_building_as_the_pulse_does(building: ModuleType, A_p: float) -> None:
     design = of(A_p=A_p)

@@ -731,6 +731,7 @@ def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Pat
     assert sets(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_compared(folder: Path) -> None:
     verified = activefail("verify", folder, "--simulations", "30")

@@ -195,6 +195,7 @@ def test_the_limit_state_in_three_lines_and_its_questions_run(tmp_path: Path, mo
     assert 0.0 < float(shown[0]) < float(shown[1]) < 1.0
 
 
+@pytest.mark.slow
 def test_the_system_of_the_page_on_probabilities_gives_the_shares_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,6 +123,7 @@ def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatc
     assert Path("indices.csv").is_file()
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_on_design_run_in_their_order(tmp_path, monkeypatch):
     page = ROOT / "docs" / "design.md"
     shutil.copytree(ROOT / "tests" / "stored_run" / "paper", tmp_path / "runs" / "bearing")
@@ -146,6 +147,7 @@ def test_the_commands_of_the_page_on_design_run_in_their_order(tmp_path, monkeyp
     assert tomllib.loads(Path("design", "design.toml").read_text()).keys() == {*tomllib.loads(text), "D_tot"}
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_on_fragility_run(tmp_path, monkeypatch, without_pictures):
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "docs" / "fragility.md").read_text(encoding="utf-8")

@@ -114,6 +114,7 @@ def test_the_bearing_asked_for_and_told_from_a_script_has_the_bits_of_run(
     assert record(tmp_path / "run") == whole
 
 
+@pytest.mark.slow
 def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_run(
     bearing: tuple[Path, list[dict[str, str]]], tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_the_sdist_has_what_a_distributor_needs(sdist: Path) -> None:
     assert not [name for name in expected if not (sdist / name).exists()]
 
 
+@pytest.mark.slow
 def test_the_wheel_works_without_the_repository(environment: Path, tmp_path: Path) -> None:
     variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 

@@ -122,6 +122,7 @@ def test_a_margin_of_the_wrong_sign_is_not_learned_from_and_the_reason_is_told(t
     assert f"failure from the outcomes; the margin g is not used: {reason}" in status
 
 
+@pytest.mark.slow
 def test_a_clipped_margin_is_named_as_the_reason_why_the_campaign_goes_on_to_its_budget(tmp_path: Path) -> None:
     result = activefail("run", begun(tmp_path, "clipped", 44), "--out", tmp_path / "run")
     assert result.code == 0, result.err

@@ -115,6 +115,7 @@ z = { value = 0.0 }
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_path: Path) -> None:
     (tmp_path / "limit.py").write_text(LIMIT)

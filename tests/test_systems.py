@@ -191,6 +191,7 @@ def test_a_question_and_the_classifier_alone_work_on_a_system(folder: Path) -> N
     assert [round(float(row["p_failure"]), 6) for row in table(folder / "predicted.csv")] == [1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_campaign_that_continues_from_its_saved_state_has_the_same_bits(folder: Path) -> None:
     run = folder / "cut"
     (folder / "cut.toml").write_text((folder / "modes.toml").read_text().replace("budget = 80", "budget = 16"))

@@ -79,7 +79,7 @@ class StripeFindings:
         lost = f"; {int(stripe.lost.sum())} gave no outcome and count both ways" if stripe.lost.any() else ""
         at = ", ".join(f"{name} = {value}" for name, value in self.fixed.items())
         these = f"the {count} values of {self._names}"
-        rows = [("these", f"{_ends(self.these)}, {sure}: {these}; what is left is the classifier's doubt")]
+        rows = [("these", f"{_ends(self.these)}, {sure}: {these}; what is left is that predictions may be wrong")]
         if self.others is not None:
             single = "" if self._groups < count else ", one for each value"
             kind = f"other values of the kind, if these are a sample; over {self._groups} groups{single}"
@@ -90,13 +90,14 @@ class StripeFindings:
             ("from", f"{simulated} simulated ({stripe.new} runs now) and {predicted} predicted{lost}"),
             (
                 "wrong",
-                f"{percent(stripe.expected_wrong, 2)} expected to be predicted wrongly, of which "
-                f"{percent(stripe.doubted, 2)} by the classifier's own doubt; asked for: {percent(stripe.wrong, 2)}",
+                f"{percent(stripe.expected_wrong, 2)} expected to be predicted wrongly, by the classifier's own doubt"
+                f"{' and the share that its check contradicted' if checked.contradicted else ''}; asked for: "
+                f"{percent(stripe.wrong, 2)}",
             ),
             (
                 "check",
                 f"{checked.simulated} random predictions were simulated too, {checked.contradicted} wrong; this alone "
-                f"shows that at most {stripe.most_wrong} of the {predicted} predicted are wrong ({100 * OF_BOUND:g} %)",
+                f"shows that at most {percent(stripe.most_wrong)} is predicted wrongly ({100 * OF_BOUND:g} %)",
             ),
             ("campaign", f"{stripe.learned} simulations, these among them"),
             *(("note", sentence) for sentence in self.assumptions),
@@ -115,7 +116,22 @@ class StripeFindings:
             )
         if stripe.checked.contradicted:
             sentences.append("The check contradicted the classifier.")
+        if stripe.predicted.any():
+            sentences.append(self._of_sure)
         return [*sentences, *self.of_question]
+
+    @property
+    def _of_sure(self) -> str:
+        """What the interval assumes of predictions of which the classifier is sure."""
+        wrong, earlier = self.stripe.sure_wrong, self.stripe.earlier
+        of_others = ""
+        if earlier.simulated:
+            of_others = f" and those of this campaign's other questions ({earlier.contradicted} of {earlier.simulated})"
+        return (
+            f"Where the classifier is sure, the interval takes a share of {percent(wrong.mean)} to be wrong, with "
+            f"{100 * OF_BOUND:g} % confidence at most {percent(wrong.most(OF_BOUND))}. It follows from a prior with a "
+            f"mean of 10 %, this check{of_others}."
+        )
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
@@ -141,8 +157,15 @@ class StripeFindings:
                     "check": {
                         "simulations": stripe.checked.simulated,
                         "contradicted": stripe.checked.contradicted,
-                        "most_wrong": stripe.most_wrong,
+                        "probability_wrong_high": stripe.most_wrong,
                         "confidence": OF_BOUND,
+                    },
+                    "sure_wrong": {
+                        "mean": stripe.sure_wrong.mean,
+                        "high": stripe.sure_wrong.most(OF_BOUND),
+                        "confidence": OF_BOUND,
+                        "earlier_simulations": stripe.earlier.simulated,
+                        "earlier_contradicted": stripe.earlier.contradicted,
                     },
                     "campaign_simulations": stripe.learned,
                     "fixed": self.fixed,

@@ -7,9 +7,12 @@ from numpy.typing import NDArray
 
 from activefail.space import Array
 
-_PRIOR = (0.05, 4.95)
-"""Beta prior of the share θ of predictions that are wrong although the classifier is sure of them: 1 % on average, and
-more than 5 % for one question in twenty. `studies/stripes.py` measures this share, and the intervals that follow."""
+_PRIOR = (0.5, 4.5)
+"""Beta prior of the share θ of predictions that are wrong although the classifier is sure of them. With its mean of
+10 %, no classifier is taken to be right before a check. `studies/stripes.py` measures the intervals that follow."""
+
+_EARLIER = 8.0
+"""Most weight of the checks of earlier questions, in checks: the values of this one may be less regular."""
 
 _DRAWS = 4000
 """Draws of the number of wrong predictions, always the same random numbers."""
@@ -26,37 +29,65 @@ class Interval(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What a check found: predictions, drawn at random, that were simulated too, and how many this contradicted."""
+    """What checks found: predictions, drawn at random, that were simulated too, and how many this contradicted."""
 
     simulated: int
     contradicted: int
 
 
+class SureWrong(NamedTuple):
+    """The Beta posterior of the share θ of predictions that are wrong although the classifier is sure of them."""
+
+    a: float
+    b: float
+
+    @classmethod
+    def of(cls, own: Checked, earlier: Checked) -> "SureWrong":
+        """From the check of a question, and those of earlier ones."""
+        weight = min(1.0, _EARLIER / max(1, earlier.simulated))
+        right, earlier_right = own.simulated - own.contradicted, earlier.simulated - earlier.contradicted
+        a, b = _PRIOR
+        return cls(a + own.contradicted + weight * earlier.contradicted, b + right + weight * earlier_right)
+
+    @property
+    def mean(self) -> float:
+        """The expected share."""
+        return self.a / (self.a + self.b)
+
+    def most(self, confidence: float) -> float:
+        """An upper bound on the share, with this one-sided confidence."""
+        from scipy.stats import beta
+
+        return float(beta.ppf(confidence, self.a, self.b))
+
+
 def expected_wrong(predicted: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked) -> float:
-    """Expected probability of the values that are predicted wrongly (see `deviations`)."""
-    a, b = _PRIOR
-    theta = (a + checked.contradicted) / (a + b + checked.simulated)
+    """Expected probability of the values that are predicted wrongly, by the doubt and by the question's own check.
+
+    A share θ of predictions, that of the check, is wrong although the classifier is sure (see `deviations`). If the
+    check contradicted none, it is 0: what a small check may have missed is part of the interval.
+    """
+    theta = checked.contradicted / max(1, checked.simulated)
     return float(weight @ np.where(predicted, doubt + (1.0 - 2.0 * doubt) * theta, 0.0))
 
 
 def deviations(
-    beyond: NDArray[np.bool_], predicted: NDArray[np.bool_], doubt: Array, weight: Array, checked: Checked
+    beyond: NDArray[np.bool_], predicted: NDArray[np.bool_], doubt: Array, weight: Array, sure_wrong: SureWrong
 ) -> Array:
     """Draws of the probability of these values minus the predicted one, (draws,).
 
     A prediction is wrong with its doubt q, and with the probability θ although the classifier is sure: q + (1 − 2q) θ.
-    The check gives the posterior of θ, which all predictions share.
+    All predictions share θ.
 
     Args:
         beyond: (n,) on which side of the boundary each value is, or is predicted.
         predicted: (n,) whether it is predicted.
         doubt: (n,) the classifier's probability that this is wrong.
         weight: (n,) probabilities of the values.
-        checked: by random predictions.
+        sure_wrong: what checks say of θ.
     """
     rng = np.random.default_rng(0)
-    a, b = _PRIOR
-    theta = rng.beta(a + checked.contradicted, b + checked.simulated - checked.contradicted, size=(_DRAWS, 1))
+    theta = rng.beta(*sure_wrong, size=(_DRAWS, 1))
     q = doubt[predicted]
     is_wrong = rng.random((_DRAWS, len(q))) < q + (1.0 - 2.0 * q) * theta
     return np.asarray(is_wrong @ np.where(beyond[predicted], -weight[predicted], weight[predicted]))
@@ -73,8 +104,10 @@ def of_these(probability: float, drawn: Array, lost: tuple[float, float], confid
         confidence: of the interval.
     """
     tails = 0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence
-    low, high = probability + np.quantile(drawn, tails, method="inverted_cdf")
-    return Interval(max(0.0, float(low) - lost[0]), min(1.0, float(high) + lost[1]))
+    low, high = np.quantile(drawn, tails, method="inverted_cdf")
+    # The predictions themselves are possible, even if most of a check's were wrong.
+    ends = probability + min(0.0, float(low)) - lost[0], probability + max(0.0, float(high)) + lost[1]
+    return Interval(max(0.0, ends[0]), min(1.0, ends[1]))
 
 
 def of_others(
@@ -117,20 +150,18 @@ def of_others(
     return Interval(low, high)
 
 
-def most_wrong(unchecked: int, checked: Checked, confidence: float) -> int:
-    """An upper bound on the number of wrong ones among the predictions that were not checked, without a model.
+def most_wrong(checked: Checked, confidence: float) -> float:
+    """An upper bound on the share of the unchecked probability that is predicted wrongly, without a model.
 
-    The check is a random sample without replacement of all predictions, so the number of wrong ones in it is
-    hypergeometric.
+    The check draws one prediction after another by weight, without replacement. While that share is left, each draw
+    finds a wrong prediction at least with its probability. So Clopper and Pearson's bound holds.
 
     Args:
-        unchecked: predictions from which the check was drawn, without those in it.
         checked: the check.
         confidence: one-sided, of the bound.
     """
-    from scipy.stats import hypergeom
+    from scipy.stats import beta
 
-    wrong = np.arange(unchecked + 1)
-    total, drawn = unchecked + checked.simulated, checked.simulated
-    shares = hypergeom.cdf(checked.contradicted, total, wrong + checked.contradicted, drawn)
-    return int(wrong[shares > 1.0 - confidence].max(initial=0))
+    if checked.contradicted >= checked.simulated:
+        return 1.0
+    return float(beta.ppf(confidence, checked.contradicted + 1, checked.simulated - checked.contradicted))

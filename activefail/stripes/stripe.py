@@ -33,6 +33,7 @@ from activefail.space import Array
 from activefail.stripes.intervals import (
     Checked,
     Interval,
+    SureWrong,
     deviations,
     expected_wrong,
     most_wrong,
@@ -54,7 +55,7 @@ class Round(NamedTuple):
     """Values that were chosen together, and what the classifier said of them before they were simulated.
 
     Attributes:
-        rows: of the question's values; of a check all predictions, in random order.
+        rows: of the question's values; of a check all predictions, in random order, those of large weight sooner.
         beyond: whether each was predicted to be beyond the boundary.
         drawn: of a check how many of the rows, the first ones, are simulated; 0 if all are, the most doubtful ones.
     """
@@ -83,6 +84,7 @@ class Stripe:
         doubt: (n,) the classifier's probability that this is wrong; 0 where it was simulated.
         wrong: accepted expected probability of the values that are predicted wrongly.
         rounds: of simulations that this question asked for, now and before.
+        earlier: what the checks of other questions of the campaign found, for the same outcome.
         new: simulations of this call.
         learned: simulations with an outcome that the classifier learned from.
     """
@@ -96,6 +98,7 @@ class Stripe:
     doubt: Array
     wrong: float
     rounds: tuple[Round, ...]
+    earlier: Checked
     new: int
     learned: int
 
@@ -111,8 +114,13 @@ class Stripe:
 
     @property
     def expected_wrong(self) -> float:
-        """The same, with mistakes of which the classifier is sure, as the check bears them out."""
+        """The same, with mistakes of which the classifier is sure, if the check found any."""
         return expected_wrong(self.predicted, self.doubt, self.values.weight, self.checked)
+
+    @property
+    def sure_wrong(self) -> SureWrong:
+        """What all checks of the campaign say of mistakes of which the classifier is sure."""
+        return SureWrong.of(self.checked, self.earlier)
 
     @cached_property
     def predicted(self) -> NDArray[np.bool_]:
@@ -134,25 +142,25 @@ class Stripe:
         return Checked(int(known.sum()), int((known & (self.beyond[rows] != beyond)).sum()))
 
     @property
-    def most_wrong(self) -> int:
-        """A bound on the number of wrong predictions without the classifier's word, from the check alone.
+    def most_wrong(self) -> float:
+        """A bound on the probability of wrong predictions without the classifier's word, from the check alone.
 
         The check speaks of the predictions from which it was drawn. One that has changed since may be wrong; those that
         were found wrong later count.
         """
-        count = int(self.predicted.sum())
+        weight, of_predicted = self.values.weight, float(self.values.weight @ self.predicted)
         if self.check is None:
-            return count
+            return of_predicted
         rows, beyond = np.array(self.check.rows[self.check.drawn :], int), self.check.beyond[self.check.drawn :]
         differs = self.beyond[rows] != np.array(beyond, bool)
-        found = int((self.known[rows] & differs).sum())
-        unchanged = int((self.predicted[rows] & ~differs).sum())
-        left = max(0, most_wrong(len(rows), self.checked, OF_BOUND) - found)
-        return count - unchanged + min(unchanged, left)
+        found = float(weight[rows] @ (self.known[rows] & differs))
+        unchanged = float(weight[rows] @ (self.predicted[rows] & ~differs))
+        left = max(0.0, most_wrong(self.checked, OF_BOUND) * float(weight[rows].sum()) - found)
+        return of_predicted - unchanged + min(unchanged, left)
 
     @cached_property
     def _drawn(self) -> Array:
-        return deviations(self.beyond, self.predicted, self.doubt, self.values.weight, self.checked)
+        return deviations(self.beyond, self.predicted, self.doubt, self.values.weight, self.sure_wrong)
 
     def of_these(self, confidence: float) -> Interval:
         """The interval of these values."""
@@ -192,7 +200,8 @@ class Stripes:
         """Simulate values until the expected probability of wrongly predicted ones is small, and a check agrees.
 
         The most doubtful values come first. Once the classifier's own doubt is small, some of the remaining
-        predictions, at random, are simulated as a check. The more of them are wrong, the more values are simulated.
+        predictions, drawn by weight, are simulated as a check. The more of them are wrong, the more values are
+        simulated.
 
         Args:
             question: with finitely many values.
@@ -207,18 +216,19 @@ class Stripes:
             raise InputError("wrong: requires a simulator that repeats; leave --wrong out where results have noise.")
         values, began = FiniteValues.of(question), len(History.of(self.store.batches))
         seed = int(question.digest[:12] or "0", 16)
-        order = stream(self.campaign.settings.seed, "stripe", seed).permutation(len(values))
-        F, kept = (
-            finite(self.campaign.features, values.X),
-            _Kept(self.store, ("stripe", question.digest, outcome, f"{wrong:g}")),
-        )
+        # The order in which draws by weight, without replacement, would take the values.
+        waiting = stream(self.campaign.settings.seed, "stripe", seed).exponential(size=len(values))
+        order = np.argsort(waiting / np.maximum(values.weight, np.finfo(float).tiny))
+        F = finite(self.campaign.features, values.X)
+        kept = _Kept(self.store, outcome, question.digest, f"{wrong:g}")
         while True:
-            stripe = self._stripe(question, outcome, values, F, wrong, kept.rounds(), began)
+            stripe = self._stripe(question, outcome, values, F, wrong, began, kept)
             handed_out = are_among(values.X, HandedOut.of(self.store).in_flight.designs)
             is_open = stripe.predicted & ~handed_out
             rows = [row for one in stripe.rounds[-1:] for row in one.chosen if is_open[row]]
             if not rows:
                 if not (one := self._chosen(stripe, is_open, order)).rows:
+                    kept.found(stripe.checked)
                     return stripe
                 kept.add(one)
                 rows = one.chosen
@@ -228,7 +238,7 @@ class Stripes:
         """What the record and the classifier say; nothing is simulated."""
         values = FiniteValues.of(question)
         F, began = finite(self.campaign.features, values.X), len(History.of(self.store.batches))
-        return self._stripe(question, outcome, values, F, 1.0, (), began)
+        return self._stripe(question, outcome, values, F, 1.0, began)
 
     def _stripe(
         self,
@@ -237,8 +247,8 @@ class Stripes:
         values: FiniteValues,
         F: Array,
         wrong: float,
-        rounds: tuple[Round, ...],
         began: int,
+        kept: "_Kept | None" = None,
     ) -> Stripe:
         """What the record and the classifier say now."""
         classifier, history = self.learn(), History.of(self.store.batches)
@@ -260,7 +270,8 @@ class Stripes:
             beyond=np.where(known, history.outcome[place] >= severity, moments.mean > 0.0),
             doubt=np.where(is_recorded, 0.0, probability_wrong(moments)),
             wrong=wrong,
-            rounds=rounds,
+            rounds=kept.rounds() if kept else (),
+            earlier=kept.earlier() if kept else Checked(0, 0),
             new=len(history) - began,
             learned=len(history.training),
         )
@@ -298,14 +309,36 @@ class Stripes:
 
 @dataclass(frozen=True)
 class _Kept:
-    """The rounds of a question in a record."""
+    """What a record keeps of a question: its rounds, and what the checks of all questions of this outcome found."""
 
     store: Store
-    identity: tuple[str, ...]
+    outcome: str
+    digest: str
+    wrong: str
+
+    @property
+    def _identity(self) -> tuple[str, ...]:
+        return "stripe", self.digest, self.outcome, self.wrong
+
+    @property
+    def _checks(self) -> dict[str, Checked]:
+        """By the digest of the question."""
+        found: Any = self.store.recall(("checks", self.outcome))
+        return {digest: Checked(*of) for digest, of in (found or {}).items()}
 
     def rounds(self) -> tuple[Round, ...]:
-        found: Any = self.store.recall(self.identity)
+        found: Any = self.store.recall(self._identity)
         return tuple(Round(*one) for one in found or ())
 
     def add(self, one: Round) -> None:
-        self.store.remember(self.identity, [*self.rounds(), one])
+        self.store.remember(self._identity, [*self.rounds(), one])
+
+    def earlier(self) -> Checked:
+        """What the checks of other questions found."""
+        others = [of for digest, of in self._checks.items() if digest != self.digest]
+        return Checked(sum(one.simulated for one in others), sum(one.contradicted for one in others))
+
+    def found(self, checked: Checked) -> None:
+        """Keep what the question's own check found."""
+        if checked.simulated and self._checks.get(self.digest) != checked:
+            self.store.remember(("checks", self.outcome), self._checks | {self.digest: checked})

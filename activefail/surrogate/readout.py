@@ -104,4 +104,7 @@ def margin_readout(
     pulls = np.column_stack([precision * (target - mean), precision])
     weights, root = _of_projection(L, V, pulls, precision)
     ones = weights[:, 1].copy()
-    return MarginReadout(Readout(weights[:, 0].copy(), root), Trend(ones, float(precision @ (1.0 - ones @ Kx))), rest)
+    # The least value of the regression's loss. As a sum of squares it has no cancellation: where the points say much,
+    # what the constant leaves is tiny.
+    total = precision @ (1.0 - ones @ Kx) ** 2 + ((ones @ L) ** 2).sum()
+    return MarginReadout(Readout(weights[:, 0].copy(), root), Trend(ones, float(total)), rest)

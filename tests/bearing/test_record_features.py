@@ -51,6 +51,7 @@ def test_a_row_depends_neither_on_other_rows_nor_on_the_threads() -> None:
     assert last[0].tolist() == found[-1].tolist()
 
 
+@pytest.mark.slow
 def test_they_predict_what_bearings_do_under_records() -> None:
     X, which, factors = rows(400)
     found = record_features(X, RECORDS, which, factors)

@@ -63,6 +63,7 @@ def rising(seed: int, peak: float = 0.4, vertical: float = 0.3) -> Accelerogram:
     return synthetic(seed, peak).with_vertical(synthetic(seed + 100, vertical))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_rising", [False, True])
 def test_a_run_that_may_end_early_has_the_outcome_of_the_whole_one(is_rising: bool) -> None:
     X, peaks = bearings(120), np.geomspace(0.08, 1.2, 120)

@@ -136,6 +136,7 @@ def test_the_reduced_model_sees_rims_break(of_type, designs):
     assert (predicted == (found.outcome == o.FAILURE)).mean() > 0.97
 
 
+@pytest.mark.slow
 def test_outcomes_are_those_of_an_independent_program(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "studies"))
     study = importlib.import_module("rims")

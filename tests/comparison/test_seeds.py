@@ -24,6 +24,8 @@ from activefail.comparison.seeds import (
 from activefail.errors import InputError
 from activefail.report.comparison import comparison_json, comparison_lines, comparison_text, write_comparison
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = CampaignSettings().changed(
     {"seed": 3, "sampling.initial": 30, "sampling.budget": 35, "sampling.batch": 5, "classifier.kernel": "matern52"}
 )

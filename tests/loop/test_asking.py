@@ -560,6 +560,7 @@ class DiedError(Exception):
     """The process would be gone."""
 
 
+@pytest.mark.slow
 def test_any_order_of_ask_tell_drop_add_correct_loop_crash_and_reopening_keeps_every_design_in_one_place(
     tmp_path: Path, every_fault: bool, request: pytest.FixtureRequest
 ) -> None:

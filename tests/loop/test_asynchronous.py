@@ -137,6 +137,7 @@ def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() 
     assert sum(map(len, store.batches)) == BUDGET
 
 
+@pytest.mark.slow
 def test_killed_after_any_event_it_goes_on_to_the_same_campaign(
     uninterrupted: Store, tmp_path: Path, every_fault: bool
 ) -> None:
@@ -187,6 +188,7 @@ def paced(store: Store, ahead: bool) -> list[tuple[int, bytes, bytes, bytes, byt
     return kept(store)
 
 
+@pytest.mark.slow
 def test_with_one_worker_the_campaign_does_not_depend_on_its_speed_and_goes_on_the_same_after_a_kill(
     tmp_path: Path,
 ) -> None:

@@ -99,6 +99,7 @@ def test_it_ends_by_itself_after_a_check_that_found_nothing_and_knows_the_probab
     assert set(history.origin.tolist()) == {INITIAL, ACTIVE, CHECK}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", some([False, True], False))
 def test_interrupted_after_any_batch_it_resumes_to_the_same_bits(ended, tmp_path, every) -> None:
     campaign, whole = ended
@@ -138,6 +139,7 @@ def test_resumed_after_its_end_it_simulates_nothing_more(ended) -> None:
     assert len(store.batches) == before
 
 
+@pytest.mark.slow
 def test_truncated_margins_are_learned_from_too() -> None:
     campaign = campaign_on(FourBranch(lowest=0.0))
     store = taken(campaign)
@@ -253,6 +255,7 @@ def test_predictions_from_a_part_of_the_simulations_are_announced(monkeypatch: p
     assert "; predictions use 16 inducing points" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_a_clipped_margin_never_ends_a_campaign_but_is_checked_again(asynchronous: bool) -> None:
     campaign = campaign_on(FourBranch(highest=1.5), sampling__budget=66, sampling__asynchronous=asynchronous)
@@ -308,6 +311,7 @@ def told(campaign, store, designs):
     tell(campaign, store, designs.id, campaign.simulator.run(designs.designs))
 
 
+@pytest.mark.slow
 def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended) -> None:
     campaign, whole = ended
     store = MemoryStore(campaign.schema)

@@ -57,6 +57,7 @@ def test_resumed_after_its_end_it_simulates_nothing_more(ended: tuple[Campaign, 
     assert kept(take(campaign, store)) == before
 
 
+@pytest.mark.slow
 def test_killed_within_its_check_and_right_after_it_it_continues_to_the_same_campaign(
     ended: tuple[Campaign, Store], tmp_path: Path
 ) -> None:

@@ -111,6 +111,7 @@ def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> 
     assert run.store.set_names() == stored
 
 
+@pytest.mark.slow
 def test_several_free_variables_are_searched_for_the_least_cost(run: Run, folder: Path) -> None:
     # capacity √friction is what counts: with a cost that is steep in friction, the least friction is cheapest, and with
     # one that is steep in capacity, the largest.

@@ -247,6 +247,7 @@ def test_every_number_without_an_interval_gives_the_reason(uncertain: FragilityF
     assert check(json.loads(json.dumps(uncertain.as_json(), allow_nan=False))) == 2 * 10
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_path: Path) -> None:
     command = ("fragility", ended / "run", "--code", ended, "--hazard", ended / "uncertain.toml", "--verify", "60")

@@ -36,12 +36,22 @@ from activefail.risk.ida.collapse import fit_lognormal
 from activefail.shares import significant
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array, DesignSpace
-from activefail.stripes.intervals import Checked, deviations, expected_wrong, most_wrong, of_others, of_these
+from activefail.stripes.intervals import (
+    Checked,
+    SureWrong,
+    deviations,
+    expected_wrong,
+    most_wrong,
+    of_others,
+    of_these,
+)
 from activefail.stripes.stripe import Round, Stripe, Stripes
 from activefail.surrogate.moments import Moments
 from activefail.surrogate.threads import one_thread
 
 VALUES = 30
+
+NONE = Checked(0, 0)
 
 CAMPAIGN = f"""
 simulator = {{ python = "mine:plane" }}
@@ -283,7 +293,7 @@ def test_values_that_do_not_exist_have_no_weight() -> None:
 def test_a_wrong_check_counts_for_predictions_of_which_the_classifier_has_no_doubt_at_all() -> None:
     weight, predicted, doubt = np.full(40, 1.0 / 40.0), np.arange(40) >= 4, np.zeros(40)
     assert expected_wrong(predicted, doubt, weight, Checked(4, 1)) > 0.05
-    assert deviations(np.zeros(40, bool), predicted, doubt, weight, Checked(4, 1)).max() > 0.2
+    assert deviations(np.zeros(40, bool), predicted, doubt, weight, SureWrong.of(Checked(4, 1), NONE)).max() > 0.2
 
 
 def test_the_interval_of_others_is_the_same_for_all_beyond_as_for_none() -> None:
@@ -306,12 +316,14 @@ def test_pairs_of_choices_are_no_sample_of_others_but_those_of_records_with_them
 
 def test_the_interval_of_these_values_knows_only_what_was_seen() -> None:
     weight, beyond = np.full(40, 1.0 / 40.0), np.arange(40) < 10
-    known = of_these(0.25, deviations(beyond, np.zeros(40, bool), np.zeros(40), weight, Checked(0, 0)), (0.0, 0.0), 0.9)
+    at_first = SureWrong.of(NONE, NONE)
+    known = of_these(0.25, deviations(beyond, np.zeros(40, bool), np.zeros(40), weight, at_first), (0.0, 0.0), 0.9)
     assert known == (0.25, 0.25)
     sure = np.where(np.arange(40) < 20, 0.0, 1e-9)
     widths, expected = [], []
     for checked in (Checked(15, 0), Checked(3, 0), Checked(3, 1), Checked(3, 2)):
-        low, high = of_these(0.25, deviations(beyond, sure > 0.0, sure, weight, checked), (0.0, 0.0), 0.9)
+        of_sure = SureWrong.of(checked, NONE)
+        low, high = of_these(0.25, deviations(beyond, sure > 0.0, sure, weight, of_sure), (0.0, 0.0), 0.9)
         assert low == 0.25
         widths.append(high - low)
         expected.append(expected_wrong(sure > 0.0, sure, weight, checked))
@@ -320,12 +332,58 @@ def test_the_interval_of_these_values_knows_only_what_was_seen() -> None:
     assert widths[-1] > 0.08
 
 
-def test_the_check_alone_bounds_the_number_of_wrong_predictions() -> None:
-    assert most_wrong(20, Checked(0, 0), 0.9) == 20
-    assert most_wrong(0, Checked(3, 0), 0.9) == 0
-    # (6 of 8 right)/(8 of 8 drawn) etc.: with 2 wrong of 4, a check of 2 finds none with 1/6; with 3, never.
-    assert most_wrong(2, Checked(2, 0), 0.9) == 2
-    assert most_wrong(2, Checked(2, 0), 0.8) == 1
+@pytest.mark.parametrize(("wrong", "drawn"), [(0.3, 4), (0.1, 10), (0.45, 6)])
+def test_the_check_alone_bounds_the_wrong_probability_left_whatever_the_weights(wrong: float, drawn: int) -> None:
+    rng, held, tried = np.random.default_rng(0), 0, 2000
+    for _ in range(tried):
+        weight = np.exp(1.5 * rng.standard_normal(40))
+        is_wrong = rng.random(40) < wrong
+        checked = np.argsort(rng.exponential(size=40) / weight)[:drawn]
+        left = ~np.isin(np.arange(40), checked)
+        bound = most_wrong(Checked(drawn, int(is_wrong[checked].sum())), 0.9)
+        held += weight[left] @ is_wrong[left] <= bound * weight[left].sum() + 1e-12
+    assert held / tried >= 0.9 - 3.0 * np.sqrt(0.09 / tried)
+
+
+def test_without_a_check_everything_may_be_wrong_and_a_check_that_is_all_wrong_says_so() -> None:
+    assert most_wrong(NONE, 0.9) == most_wrong(Checked(3, 3), 0.9) == 1.0
+    assert most_wrong(Checked(3, 0), 0.9) == pytest.approx(1.0 - 0.1 ** (1.0 / 3.0))
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+@pytest.mark.parametrize("irregular", [0.0, 0.01, 0.03, 0.05, 0.1])
+@pytest.mark.parametrize("questions", [0, 5])
+def test_the_interval_of_these_holds_where_irregular_values_are_predicted_wrongly(
+    irregular: float, spread: float, questions: int
+) -> None:
+    rng = np.random.default_rng([int(100 * irregular), int(spread), questions])
+    held, tried, predicted, drawn = 0, 300, 30, 3
+    for _ in range(tried):
+        # Of 40 values ten were simulated. The check finds a wrong one, or the rest stays predicted.
+        weight = np.exp(spread * rng.standard_normal(40))
+        weight = (weight / weight.sum())[:predicted]
+        beyond, is_wrong = rng.random(predicted) < 0.15, rng.random(predicted) < irregular
+        left = ~np.isin(np.arange(predicted), np.argsort(rng.exponential(size=predicted) / weight)[:drawn])
+        if is_wrong[~left].any():
+            held += 1  # then nearly all values are simulated
+            continue
+        earlier = Checked(questions * drawn, int(rng.binomial(questions * drawn, irregular)))
+        drawings = deviations(beyond, left, np.zeros(predicted), weight, SureWrong.of(Checked(drawn, 0), earlier))
+        low, high = np.quantile(drawings, (0.05, 0.95), method="inverted_cdf")
+        off = np.where(beyond, -weight, weight)[left] @ is_wrong[left]
+        held += low - 1e-9 <= off <= high + 1e-9
+    assert held / tried >= 0.88 - 2.0 * np.sqrt(0.1 / tried)
+
+
+def test_checks_of_other_questions_narrow_the_interval_as_far_as_their_weight_goes() -> None:
+    few, many, most = (SureWrong.of(Checked(3, 0), Checked(n, 0)) for n in (0, 8, 800))
+    assert few.mean > many.mean == most.mean > 0.02
+    assert SureWrong.of(Checked(3, 0), Checked(16, 4)) == pytest.approx((0.5 + 2.0, 4.5 + 3.0 + 6.0))
+    found = ran()
+    one, other = found.ask(), found.ask(1.7)
+    assert (one.earlier, other.earlier) == (NONE, one.checked)
+    assert found.ask().earlier == other.checked
+    assert found.ask(wrong=0.02).earlier == other.checked
 
 
 def test_the_bound_of_the_check_is_one_on_the_present_predictions() -> None:
@@ -336,17 +394,18 @@ def test_the_bound_of_the_check_is_one_on_the_present_predictions() -> None:
     assert sorted(rows) == sorted(set(rows))
     # As if the check had been drawn from all values, and the first four simulated.
     check = Round(list(range(VALUES)), [False] * VALUES, 4)
-    known, safe = np.arange(VALUES) < 4, np.zeros(VALUES, bool)
+    known, safe, one = np.arange(VALUES) < 4, np.zeros(VALUES, bool), 1.0 / VALUES
     at_once = replace(stripe, rounds=(check,), known=known, beyond=safe)
-    bound = most_wrong(VALUES - 4, Checked(4, 0), 0.9)
-    assert at_once.most_wrong == bound < VALUES - 4
+    bound = most_wrong(Checked(4, 0), 0.9) * (VALUES - 4) * one
+    assert at_once.most_wrong == pytest.approx(bound)
+    assert bound < (VALUES - 4) * one
     # Two predictions have changed since: each may be wrong beside those of before.
     changed = replace(at_once, beyond=np.arange(VALUES) >= VALUES - 2)
-    assert changed.most_wrong == bound + 2
+    assert changed.most_wrong == pytest.approx(bound + 2 * one)
     # Simulations found two of them wrong: they are no longer predicted, and so many fewer are wrong.
     later = replace(at_once, beyond=np.arange(VALUES) >= VALUES - 2, known=known | (np.arange(VALUES) >= VALUES - 2))
-    assert later.most_wrong == bound - 2
-    assert replace(at_once, rounds=()).most_wrong == VALUES - 4
+    assert later.most_wrong == pytest.approx(bound - 2 * one)
+    assert replace(at_once, rounds=()).most_wrong == pytest.approx((VALUES - 4) * one)
 
 
 def test_the_interval_of_others_is_that_of_independent_values_or_of_groups() -> None:

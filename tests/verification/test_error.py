@@ -85,6 +85,7 @@ def test_designs_without_an_answer_may_all_be_wrong_or_none():
     assert not error.is_at_most(0.5, 0.9)
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_true_error_of_most_campaigns():
     covered = 0
     for seed in range(12):
@@ -156,6 +157,7 @@ class Pockets(Disc):
         return Results(failed.astype(np.int8), none.astype(np.int8), nearest[:, None], none)
 
 
+@pytest.mark.slow
 def test_what_a_campaign_found_says_nothing_of_what_it_missed():
     """Designs that it has learned from are nearly all right, also where each is left out; fresh ones are not."""
     covered = 0
