@@ -316,12 +316,13 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
 @pytest.mark.faults
 def test_a_scheduler_that_is_lost_while_the_program_does_other_things_is_told(alone: Cluster) -> None:
     lost = "The Dask scheduler at .* was lost"
-    with pytest.raises(SimulationError, match=lost), DaskExecutor(alone.address) as executor:
+    with DaskExecutor(alone.address) as executor:
         alone.scheduler.kill()
         until(lambda: executor._client.status == "closed")
-        executor.run(Disc(), np.zeros((1, 2)))
-    with pytest.raises(SimulationError, match=lost):
-        executor.start(Disc(), 0, np.zeros(2))
+        with pytest.raises(SimulationError, match=lost):
+            executor.run(Disc(), np.zeros((1, 2)))
+        with pytest.raises(SimulationError, match=lost):
+            executor.start(Disc(), 0, np.zeros(2))
 
 
 LONG = """
