@@ -40,6 +40,9 @@ def paper_features(X: Array) -> Array:
 _EQUAL = 1e-3
 """Standard deviation of the logarithm of an intensity below which all records count as equally intense."""
 
+FARTHEST = 1e9
+"""Most standard deviations from its mean of a feature of a design to learn from: beyond, squares lose the space."""
+
 _LEAST_PART = 64
 """Fewest designs per thread: computing their features takes about 10 ms."""
 
@@ -73,6 +76,23 @@ class FeatureMap:
         """Scaled features of designs, (n, d) -> (n, m)."""
         center, spread = self.scaling
         return (self._transformed(X) - center) / spread
+
+    def to_learn(self, X: Array) -> Array:
+        """Scaled features of designs to learn from, (n, d) -> (n, m).
+
+        Raises:
+            InputError: if one is not finite, or is more than `FARTHEST` standard deviations from the mean.
+        """
+        with np.errstate(all="ignore"):  # reported below
+            F = self(X)
+            bad = ~(np.abs(F) <= FARTHEST)
+        if bad.any():
+            row, column = np.argwhere(bad)[0].tolist()
+            raise InputError(
+                f"classifier.features: {self.names[column]} must be finite, and at most {FARTHEST:g} standard "
+                f"deviations from its mean, got {F[row, column]:g} standard deviations for {self.space.row(X[row])}."
+            )
+        return F
 
     @cached_property
     def scaling(self) -> tuple[Array, Array]:

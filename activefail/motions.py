@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.accelerogram_sets import RecordSet, SetRecord, read_record_set
+from activefail.accelerogram_sets import P695, RecordSet, SetRecord, read_record_set
 from activefail.errors import InputError, naming
 from activefail.intensity import Intensity
 from activefail.space import Array
@@ -28,6 +28,7 @@ class Motions:
         digest: of the records (`digest_of`).
         level: name of the quantity to which each record is scaled; empty if records are as they are.
         measure: the intensity that `level` is, as for `Intensity.of`.
+        may_read: whether a folder may be read; if not, it was named by someone whom the user need not trust.
     """
 
     variable: str
@@ -37,12 +38,13 @@ class Motions:
     digest: str
     level: str = ""
     measure: str = "factor"
+    may_read: bool = True
 
     def __call__(self) -> tuple[SetRecord, ...]:
         """The records as they are, in the order of the choices.
 
         Raises:
-            InputError: if they cannot be read, or are others than the digest says.
+            InputError: if they cannot or may not be read, or are others than the digest says.
         """
         return self.found.records
 
@@ -86,6 +88,12 @@ class Motions:
 
 @cache
 def _read(motions: Motions) -> RecordSet:
+    if not motions.may_read and motions.place not in P695:
+        raise InputError(
+            f"space.{motions.variable}.set: {motions.place} is a folder of records. A run folder may come from someone "
+            "else, so this folder is read only if you name the campaign file's folder with --code, or code=FOLDER in "
+            "Python."
+        )
     found = read_motions(motions.variable, motions.place, motions.unit, motions.dt)
     if found.digest != motions.digest:
         raise InputError(

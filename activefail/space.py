@@ -37,6 +37,9 @@ _ROUNDING = 1e-12
 _ROUNDS = 100
 """Most attempts to replace repeated designs of a Latin hypercube."""
 
+_FARTHEST = 1e9
+"""Most half widths of the bounds between their middle and a recorded design: beyond, no axis shows both."""
+
 REACH = 1e-8
 """Probability outside the ball in standard normal space in which failure is searched and integrated."""
 
@@ -351,6 +354,13 @@ class DesignSpace:
         """
         inside = [one.spans(x) for one, x in zip(self.parameters, np.asarray(X).T, strict=True)]
         return np.asarray(np.all(inside, axis=0)) & self.meets_constraints(X)
+
+    def reaches(self, X: Array) -> NDArray[np.bool_]:
+        """Which rows of X, (n, d), may be recorded, also outside the space: not too far, and of known choices, (n,)."""
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        near = np.all(np.abs(X - middle) <= _FARTHEST * half, axis=1)
+        chosen = [one.contains(x) for one, x in zip(self.parameters, np.asarray(X).T, strict=True) if one.choices]
+        return np.asarray(np.all([near, *chosen], axis=0))
 
     def broken_rule(self, design: Array) -> tuple[str, str, Any] | None:
         """The variable, rule and value that keep a design, (d,), out of this space; None if it belongs to it."""

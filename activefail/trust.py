@@ -3,6 +3,7 @@
 - **Code** runs only from a folder that the user names, or named before for the same run folder, and never from the run
   folder itself (`simulators.user_code`, `campaign.known_code`). Nothing is unpickled, and expressions are parsed
   (`expressions`). No library reads settings in the current folder (`current_folder`).
+- **Folders of records** that a run folder names are read where code would run (`motions`).
 - **Links** in a run folder are refused once, when it is opened (`refuse_links`); a table that a
   hazard or a campaign file names lies in its folder (`path_beside`). A path that the user names may be a link.
 - **Sizes** are bounded where bytes enter: a file of a run folder or of a record by `read_regular`, TOML by its reader,

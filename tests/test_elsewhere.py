@@ -530,6 +530,19 @@ def test_simulations_outside_the_space_are_learned_from_if_they_are_to_be_kept(l
         assert len(run.ask(4)) == 4
 
 
+@pytest.mark.parametrize("load", [1e300, -1e300])
+def test_a_simulation_too_far_outside_the_space_is_neither_recorded_nor_read(folder: Path, load: float) -> None:
+    with af.open_run(folder, write=True) as run:
+        with pytest.raises(InputError, match="too far outside the design space"):
+            run.add([{"load": load, "strength": 1.0, "g": -11.0}], outside="keep")
+        (last,) = run.store.batches
+        ids = np.arange(20, 20 + len(last))
+        run.store.commit(replace(last, id=ids, designs=np.full_like(last.designs, load)))
+    for words in (["export", folder, "--csv", folder.with_name("all.csv")], ["report", folder]):
+        result = activefail(*words)
+        assert (result.code, "journal lists designs outside the design space" in result.err) == (1, True), result.err
+
+
 def test_added_simulations_take_the_place_of_initial_designs_but_for_two(lab: Path) -> None:
     with af.create_run(lab.with_name("run"), lab) as run:
         whole = run.space.latin_hypercube(4, np.random.default_rng(1))

@@ -11,7 +11,9 @@ from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES, CustomFeatures, feature_map, paper_features
 from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace
+from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.surrogate.training import train
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
 DESIGN = (4.0, 0.06, 0.6, 0.8, 0.1, 50.0, 2e9, 2.0, 0.4)
@@ -26,6 +28,16 @@ def _permuted(order: list[int]) -> DesignSpace:
 
 def test_the_papers_features_are_its_formulas_in_si_units() -> None:
     assert_allclose(paper_features(np.array([DESIGN]))[0], FEATURES, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("column", "value"), [(1, 0.0), (1, -1e9), (7, 1e-300), (7, 1e250), (6, 0.0), (2, np.nan)])
+def test_a_design_whose_features_are_not_finite_or_too_far_from_the_space_is_not_learned_from(
+    column: int, value: float
+) -> None:
+    features, X = feature_map("paper", TABLE_1), np.array([DESIGN, DESIGN])
+    X[1, column] = value
+    with pytest.raises(InputError, match=r"classifier.features: .* must be finite, and at most 1e\+09 standard dev"):
+        train(X, np.array([0, 1], dtype=np.int8), ("safe", "failure"), features, VariationalGP())
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -155,6 +156,34 @@ def test_changed_records_are_refused(folder: Path, cheap: Callable[..., Path]) -
     assert "are not those of the campaign: their digest is" in resumed.err
     # What needs no motion still works.
     assert activefail("status", folder / "run").code == 0
+
+
+def test_no_folder_that_a_run_folder_from_someone_else_names_is_read_unless_the_user_permits_it(
+    cheap: Callable[..., Path], tmp_path: Path
+) -> None:
+    file = cheap()
+    assert activefail("run", file, "--out", file.parent / "run", "--workers", "1").code == 0
+    designs, out, received = tmp_path / "designs.csv", tmp_path / "out.csv", tmp_path / "received" / "run"
+    designs.write_text("strength,record,PGV\n0.5,record3,1.0\n")
+    assert activefail("predict", file.parent / "run", "--csv", designs, "--out", out).code == 0
+    shutil.copytree(file.parent / "run", received)
+    refusal = "mine is a folder of records. A run folder may come from someone else"
+    for words in (["predict", received, "--csv", designs, "--out", out], ["report", received]):
+        result = activefail(*words)
+        assert (result.code, refusal in result.err) == (2, True), result.err
+    assert activefail("status", received).code == 0
+    assert activefail("predict", received, "--csv", designs, "--out", out, "--code", file.parent).code == 0
+    text = (received / "campaign.toml").read_text()
+    (received / "campaign.toml").write_text(
+        text[: text.index("[space.record")] + '[space.record]\nset = "../../../etc"\n'
+    )
+    for words in (
+        ["predict", received, "--csv", designs, "--out", out],
+        ["report", received],
+        ["export", received, "--csv", out],
+    ):
+        result = activefail(*words)
+        assert (result.code, "set: requires `records` and `digest`" in result.err) == (2, True), result.err
 
 
 def test_a_digest_in_the_file_names_the_records(folder: Path, cheap: Callable[..., Path]) -> None:

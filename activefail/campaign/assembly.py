@@ -114,8 +114,9 @@ class Campaign:
         """
         # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
-        settings = with_records(with_features(settings, code), code)
-        space = space_with_motions(settings)
+        may_read = run is None or code is not None
+        settings = with_records(with_features(settings, code), code, may_read)
+        space = space_with_motions(settings, may_read)
         sources: dict[str, str] = {}
         if simulator is None:
             _check_bearing(settings)

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from activefail.campaign.sections import SetVariable
 from activefail.errors import InputError
 from activefail.files import replacing
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS
@@ -48,7 +49,8 @@ class KnownCode:
     Attributes:
         folder: of the code.
         is_changed: whether the folder is another one behind a link, or a source in it has changed since.
-        in_learner: whether what learns is part of the code; otherwise only simulations need it.
+        in_learner: whether what learns is part of the code, or needs records of a folder that the campaign names;
+            otherwise only simulations need it.
     """
 
     folder: Path
@@ -68,7 +70,7 @@ def known_code(run: Path) -> KnownCode | None:
         is_same = os.path.realpath(folder) == note["real code"] and all(
             digest_without_running(reference, folder) == digest for reference, digest in sources.values()
         )
-        return KnownCode(folder, not is_same, bool(sources.keys() - {SIMULATOR_KEY}))
+        return KnownCode(folder, not is_same, note["records"] or bool(sources.keys() - {SIMULATOR_KEY}))
     except _FAILURES:
         return None
 
@@ -118,6 +120,7 @@ def remember_code(run: Path, campaign: "Campaign") -> None:
             "run": _identity(run),
             "code": str(code),
             "real code": os.path.realpath(code),
+            "records": any(isinstance(entry, SetVariable) for entry in campaign.settings.space.values()),
             "sources": {key: (reference, digests[key]) for key, reference in references.items()},
         }
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

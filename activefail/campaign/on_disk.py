@@ -83,7 +83,8 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
     # With a tolerance: bounds that the file leaves out are computed, on another machine perhaps in other last digits.
     low, high = campaign.space.low, campaign.space.high
     slack = 1e-9 * (high - low)
-    if not ((low - slack <= designs) & (designs <= high + slack)).all():  # false for NaN too
+    is_asked = ((low - slack <= designs) & (designs <= high + slack)).all()  # false for NaN too
+    if not (is_asked and all(campaign.space.reaches(batch.designs).all() for batch in store.batches)):
         store.close()
         raise StoreError(f"{folder / JOURNAL} lists designs outside the design space; restore it from a copy.")
     return campaign, store

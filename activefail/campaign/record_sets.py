@@ -10,12 +10,13 @@ from activefail.motions import Motions, read_motions
 from activefail.space import DesignSpace
 
 
-def with_records(settings: CampaignSettings, folder: Path | None) -> CampaignSettings:
+def with_records(settings: CampaignSettings, folder: Path | None, may_read: bool = True) -> CampaignSettings:
     """The settings with the names, events and digest of the records of their sets, as a run folder has them.
 
     Args:
         settings: of a campaign; sets whose records they have are not read.
         folder: of the campaign file, in which folders of records begin.
+        may_read: whether folders may be read; if not, the settings may come from someone else.
 
     Raises:
         InputError: naming the variable, the rule and the value.
@@ -23,6 +24,8 @@ def with_records(settings: CampaignSettings, folder: Path | None) -> CampaignSet
     space = dict(settings.space)
     for name, entry in settings.space.items():
         if isinstance(entry, SetVariable) and entry.records is None:
+            if not may_read:
+                raise InputError(f"space.{name}.set: requires `records` and `digest`, as activefail writes them.")
             beside = (folder or Path.cwd()) / entry.set
             place = str(beside.absolute()) if beside.exists() else entry.set
             found = read_motions(name, place, entry.unit, entry.dt)
@@ -39,8 +42,13 @@ def with_records(settings: CampaignSettings, folder: Path | None) -> CampaignSet
     return settings.model_copy(update={"space": space})
 
 
-def space_with_motions(settings: CampaignSettings) -> DesignSpace:
-    """The design space of settings that have the records of their sets; these are read when they are needed."""
+def space_with_motions(settings: CampaignSettings, may_read: bool = True) -> DesignSpace:
+    """The design space of settings that have the records of their sets; these are read when they are needed.
+
+    Args:
+        settings: of a campaign.
+        may_read: as for `with_records`.
+    """
     space = settings.design_space()
     parameters = []
     for parameter in space.parameters:
@@ -48,7 +56,7 @@ def space_with_motions(settings: CampaignSettings) -> DesignSpace:
         if isinstance(entry, SetVariable):
             assert entry.digest is not None
             level, measure = next(iter((entry.scaled_to or {"": "factor"}).items()))
-            motions = Motions(parameter.name, entry.set, entry.unit, entry.dt, entry.digest, level, measure)
+            motions = Motions(parameter.name, entry.set, entry.unit, entry.dt, entry.digest, level, measure, may_read)
             parameter = replace(parameter, payload=motions)
         parameters.append(parameter)
     return replace(space, parameters=tuple(parameters))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
 from activefail.csv_table import Table, may_be
-from activefail.errors import InputError
+from activefail.errors import InputError, naming
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
 from activefail.space import Array, DesignSpace
@@ -135,9 +135,10 @@ class ResultTable:
             if not reading.keeps_outside:
                 _check_inside(space, table, row, design)
                 return
-            with np.errstate(all="ignore"):
-                if not np.isfinite(campaign.features(design[None])).all():
-                    raise InputError(f"{table.places[row]}: the features of {space.row(design)} must be finite.")
+            with naming(f"{table.places[row]}: "):
+                if not space.reaches(design[None]).all():
+                    raise InputError(f"{space.row(design)} is too far outside the design space.")
+                campaign.features.to_learn(design[None])
 
         added = cls._of_rows(campaign, table, reading, lambda _: 0, check)
         return replace(added, ids=np.empty(0, dtype=np.int64))

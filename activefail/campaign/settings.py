@@ -1,5 +1,6 @@
 """Settings of a campaign: read from TOML, validated and frozen."""
 
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -237,11 +238,12 @@ class CampaignSettings(Section):
 
     @property
     def needs_code(self) -> bool:
-        """Whether the settings name custom code: functions, or a program."""
+        """Whether only a user who trusts the settings may use them: they name functions, a program or a folder."""
+        reads = any(isinstance(entry, SetVariable) and os.path.isabs(entry.set) for entry in self.space.values())
         simulates = isinstance(self.simulator, PythonSimulatorSettings | CommandSimulatorSettings)
         has_features = isinstance(self.classifier.features, PythonFeaturesSettings)
         chooses = isinstance(self.acquisition.criterion, PythonSettings)
-        return simulates or has_features or self.classifier.is_custom or chooses
+        return reads or simulates or has_features or self.classifier.is_custom or chooses
 
     @property
     def is_repeatable(self) -> bool:

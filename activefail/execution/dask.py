@@ -130,7 +130,13 @@ class DaskExecutor:
 
     def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals", tries: int = 1) -> None:
         arguments = simulator, x[None], self._time_limit, self._expected, self._key
-        future = self._client.submit(answer_on_worker, *arguments, pure=False)
+        try:
+            future = self._client.submit(answer_on_worker, *arguments, pure=False)
+        except Exception:
+            # The client closes itself when it cannot reach the scheduler again, also while the program learns.
+            if self._is_connected:
+                raise
+            raise self._lost() from None
         self._in_flight[future.key] = _Flight(future, simulator, x, tries)
 
         async def gather() -> None:
@@ -151,7 +157,7 @@ class DaskExecutor:
         arrivals = taken(queue, seconds)
         # Not "lost" futures: Dask recomputes answers that were lost with their workers.
         cancelled = any(flight.future.status == "cancelled" for flight in self._in_flight.values())
-        if cancelled or self._client.status not in ("running", "connecting"):
+        if cancelled or not self._is_connected:
             raise self._lost()
         if arrivals:
             # There were workers, so report it again if none is left.
@@ -176,6 +182,10 @@ class DaskExecutor:
             self._waits_for_workers = len(self._in_flight) > 0 and not workers
         if self._waits_for_workers and not waited:
             self._report(f"waiting for workers at {self._scheduler}")
+
+    @property
+    def _is_connected(self) -> bool:
+        return self._client.status in ("running", "connecting")
 
     def _lost(self) -> SimulationError:
         return SimulationError(
@@ -210,9 +220,10 @@ class DaskExecutor:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._client.cancel([flight.future for flight in self._in_flight.values()], force=True)
-        # The workers go on; the processes that they started for these simulations end. A lost scheduler has no workers.
+        # A lost scheduler has neither simulations nor workers.
         with suppress(Exception):
+            self._client.cancel([flight.future for flight in self._in_flight.values()], force=True)
+            # The workers go on; the processes that they started for these simulations end.
             self._client.sync(self._client._run, end_processes, self._key, callback_timeout=_CONNECT)
         self._client.close(timeout=_CONNECT)
 

@@ -138,6 +138,8 @@ class Worker:
     def kill(self) -> None:
         """End the worker and all processes that it started; from any thread."""
         self._process.terminate()
+        # The user's code may have stopped the supervisor.
+        self._process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
         """End the worker and release its resources."""

@@ -146,6 +146,8 @@ def _with_margins(column: Array, logarithmic: bool) -> tuple[float, float]:
     """A column's range with four per cent on both sides."""
     low, high = float(column.min()), float(column.max())
     if logarithmic:
+        # A design far outside the space; an axis needs decades beyond it.
+        low, high = max(low, 1e-100), min(high, 1e100)
         margin = (high / low) ** 0.04 if high > low else 1.1
         return low / margin, high * margin
     margin = 0.04 * (high - low) or 1.0

@@ -96,7 +96,7 @@ def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> C
             return None
         learner = learner_of(campaign)
         gp = learner if isinstance(learner, VariationalGP) else VariationalGP("matern52")
-        return gp.learned(campaign.features(history.designs), lost)
+        return gp.learned(campaign.features.to_learn(history.designs), lost)
 
     return replace(classifier, unknown=latent(~history.answered & ~impossible), impossible=latent(impossible))
 

@@ -165,8 +165,8 @@ def check_rows(batch: Batch, before: int) -> None:
         before: iteration of the batch before it; −1 if there is none.
 
     Raises:
-        InputError: if the iteration is neither this one nor the next; if ids or origins have another type; or if an id
-            is negative, too large or occurs twice.
+        InputError: if the iteration is neither this one nor the next; if ids or origins have another type; if an id is
+            negative, too large or occurs twice; or if an origin has no meaning.
     """
     if not max(before, 0) <= batch.iteration <= before + 1:
         raise InputError(f"`{max(before, 0)} <= iteration <= {before + 1}` must hold, got {batch.iteration}.")
@@ -175,3 +175,5 @@ def check_rows(batch: Batch, before: int) -> None:
             raise InputError(f"`{name}` must be {np.dtype(COLUMNS[name]).name}, got {column.dtype}.")
     if (batch.id < 0).any() or (batch.id > LARGEST_ID).any() or len(np.unique(batch.id)) < len(batch):
         raise InputError(f"`id` must be different numbers from 0 to {LARGEST_ID}, got {batch.id.tolist()}.")
+    if not np.isin(batch.origin, (INITIAL, ACTIVE, CHECK, GIVEN)).all():
+        raise InputError(f"`{INITIAL} <= origin <= {GIVEN}` must hold, got {batch.origin.tolist()}.")

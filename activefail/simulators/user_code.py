@@ -28,6 +28,9 @@ LEARNER_KEYS = KERNEL_KEY, LIKELIHOOD_KEY, MODEL_KEY
 _importing: set[str] = set()
 """The user's modules that are being imported; `_loading` guards it."""
 
+_called: list[Path] = []
+"""The folders of the functions that are being called, each by the one before it; `_loading` guards them."""
+
 _loading = threading.RLock()
 """One module at a time: imports share the path, the current folder and the output of the process."""
 
@@ -89,11 +92,24 @@ def _importing_from(code: Path, function: Callable[..., Any]) -> Callable[..., A
 
     @wraps(function, updated=())
     def call(*args: Any, **kwargs: Any) -> Any:
-        with _loading:
+        with _loading, _calling(code):
             use(code)
             return function(*args, **kwargs)
 
     return call
+
+
+@contextmanager
+def _calling(code: Path | None = None) -> Iterator[None]:
+    """The context of a call of the user's, or of an import; a call around it has its own folder again afterwards."""
+    _called.extend([code] if code else [])
+    try:
+        yield
+    finally:
+        if code:
+            _called.pop()
+        if _called:
+            use(_called[-1])
 
 
 def not_permitted(key: str, code: str) -> InputError:
@@ -124,7 +140,7 @@ def _load_module(name: str, code: Path, forbidden: Path | None) -> tuple[ModuleT
     if file is not None and forbidden and lies_in(file, forbidden):
         raise _NeverRunError(file)
     sources = {} if found is None else sources_of(found, code)
-    with _loading, _not_twice(name), _current_folder_kept(), redirect_stdout(sys.stderr):
+    with _loading, _calling(), _not_twice(name), _current_folder_kept(), redirect_stdout(sys.stderr):
         import_from(code, sources)
         module = _module_from_path(name, forbidden) if file is None else _module_from_file(file, name)
     origin = Path(module.__file__) if module.__file__ else None

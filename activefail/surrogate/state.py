@@ -88,7 +88,7 @@ def classifier_from_state(
         ArithmeticError, LookupError, RuntimeError, TypeError, ValueError: if training cannot produce the arrays, or
             they give no predictions: an intact file may still come from someone else.
     """
-    state, F = of_any_version(state), features(X)
+    state, F = of_any_version(state), features.to_learn(X)
     regressions = dict[str, MarginFit]()
     latents: list[AnyLatent] = []
     for severity, source in enumerate(sources(state, outcomes, margins), start=1):

@@ -52,11 +52,11 @@ def train(
         margins: the margins of these designs; without them, boundaries are learned from outcomes alone.
 
     Raises:
-        InputError: if there are no designs.
+        InputError: if there are no designs, or their features are not finite or too far from those of the space.
     """
     if len(X) == 0:
         raise InputError("None of the simulations gave an outcome, so there is nothing to learn from.")
-    F = features(X)
+    F = features.to_learn(X)
 
     severities = range(1, len(outcomes))
 

@@ -313,6 +313,18 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
     assert len({(row["x"], row["y"]) for row in rows}) == 24
 
 
+@pytest.mark.faults
+def test_a_scheduler_that_is_lost_while_the_program_does_other_things_is_told(alone: Cluster) -> None:
+    lost = "The Dask scheduler at .* was lost"
+    with DaskExecutor(alone.address) as executor:
+        alone.scheduler.kill()
+        until(lambda: executor._client.status == "closed")
+        with pytest.raises(SimulationError, match=lost):
+            executor.run(Disc(), np.zeros((1, 2)))
+        with pytest.raises(SimulationError, match=lost):
+            executor.start(Disc(), 0, np.zeros(2))
+
+
 LONG = """
 seed = 11
 simulator = { python = "sleepy:run", time_limit = 3.0, repeatable = true }

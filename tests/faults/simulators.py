@@ -144,6 +144,17 @@ def raises(X: Array) -> None:
     raise ValueError("no convergence")
 
 
+def stops_its_supervisor(X: Array) -> None:
+    """As a program that stops its process group, or the shell that it takes its parent for."""
+    os.kill(os.getppid(), signal.SIGSTOP)
+
+
+def ends_its_supervisor(X: Array) -> None:
+    """In a way that can be refused; then it waits for the end."""
+    os.kill(os.getppid(), signal.SIGTERM)
+    time.sleep(600.0)
+
+
 def dies_of_a_real_time_signal(X: Array) -> None:
     """A signal that has no name."""
     os.kill(os.getpid(), 40)

@@ -108,12 +108,13 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="a process in a session of its own is found on Linux alone")
 
-HARMLESS = ["forks_and_returns", "forks_and_raises", "forks_and_stays", "reads"]
+HARMLESS = ["forks_and_returns", "forks_and_raises", "forks_and_stays", "reads", "stops_its_supervisor"]
 """What costs no simulation, though it is done each time."""
 
 HARMFUL = {
     "writes": "its reply was malformed, twice",
     "closes": "its worker process died (exit code 1), twice",
+    "ends_its_supervisor": "its worker process died (exit code 0), twice",
     "dies_of_a_real_time_signal": "its worker process died (signal 40), twice",
 }
 """What costs a simulation if it is done each time, and how that is put."""

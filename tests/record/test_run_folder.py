@@ -755,6 +755,8 @@ BAD = {
     "columns of other lengths": Event("batch", {"iteration": 0}, columns(outcome=np.zeros(3, np.int8))),
     "designs that are not finite": Event("batch", {"iteration": 0}, columns(designs=np.full((2, 2), np.nan))),
     "an outcome without a name": Event("batch", {"iteration": 0}, columns(outcome=np.full(2, 9, np.int8))),
+    "an origin without a meaning": Event("batch", {"iteration": 0}, columns(origin=np.full(2, 9, np.int8))),
+    "a negative origin": Event("batch", {"iteration": 0}, columns(origin=np.full(2, -1, np.int8))),
     "a column of another type": Event("batch", {"iteration": 0}, columns(margins=np.zeros((2, 1), np.int64))),
     "a correction of nothing": Event("corrected", {}, {"place": np.array([99]), **answers_of(batch(1).results)}),
     "a set of no name": Event("set", {"name": "../x"}, {"designs": np.zeros((2, 2)), **answers_of(batch(2).results)}),

@@ -211,6 +211,26 @@ def test_code_that_two_threads_load_at_once_has_its_own_helpers(
     assert found == ["slow"]
 
 
+def test_a_function_that_runs_code_of_another_folder_imports_from_its_own_afterwards(tmp_path: Path) -> None:
+    for name, number in (("one", 1), ("other", 2)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "late.py").write_text(f"number = {number}\n")
+        (tmp_path / name / "later.py").write_text(f"number = {10 * number}\n")
+    (tmp_path / "other" / "model.py").write_text("def run(design):\n    import late\n    return late.number\n")
+    (tmp_path / "one" / "model.py").write_text(
+        "from pathlib import Path\n"
+        "from activefail.simulators.user_code import load_function\n"
+        "def run(design):\n"
+        "    other, _ = load_function('model:run', Path(design), 'key')\n"
+        "    import late\n"
+        "    found = [late.number, other({})]\n"
+        "    import later\n"
+        "    return [*found, later.number]\n"
+    )
+    run, _ = load_function("model:run", tmp_path / "one", "key")
+    assert [run(str(tmp_path / "other")) for _ in range(2)] == [[1, 2, 10]] * 2
+
+
 def test_functions_of_two_folders_import_at_run_time_each_from_its_own_whatever_was_loaded_last(tmp_path: Path) -> None:
     functions = []
     for number in (1, 2):
