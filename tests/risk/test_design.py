@@ -20,8 +20,7 @@ from activefail.errors import InputError
 from activefail.figures.risk import plot_looks
 from activefail.opening import open_run
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import AllRows
-from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.reliability.estimate import Plan, plan_estimate
 from activefail.report.analyses import render_design
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
@@ -251,16 +250,18 @@ class MadeEstimator:
     def probability(self, outcome: str, question: Question) -> float:
         return classifier_probability(self.standardised(outcome), question)
 
-    def plan(self, outcome: str, simulations: int, question: Question) -> StratifiedPlan:
+    def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
         of_designs = self.standardised(outcome)
         rng = np.random.default_rng([self.seed, question.draw])
-        plan = plan_strata(lambda X: of_designs(question.designs(X)), question.space, simulations, rng)
-        assert plan is not None
-        return plan
+
+        def boundary(X: Array) -> Array:
+            return of_designs(question.designs(X))
+
+        return plan_estimate(boundary, question.space, simulations, rng, sceptical=True)
 
     def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
         plan = self.plan(outcome, simulations, question)
-        return Sampled(plan, limit(question.designs(plan.designs)) > 0.0, np.ones(simulations, dtype=bool))
+        return Sampled(plan, limit(question.designs(plan.designs)) > 0.0, np.ones(len(plan.designs), dtype=bool))
 
 
 @pytest.mark.exhaustive
@@ -324,7 +325,7 @@ def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> N
         def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
             plan = self.plan(outcome, simulations, question)
             X = question.designs(plan.designs)
-            return Sampled(plan, (limit(X) > 0.0) | (X[:, 3] < 0.6), np.ones(simulations, dtype=bool))
+            return Sampled(plan, (limit(X) > 0.0) | (X[:, 3] < 0.6), np.ones(len(plan.designs), dtype=bool))
 
     for seed in range(5):
         found = find_design(Island(1.0, 0.1, seed), task_of(question_of(), 0.3))  # type: ignore[arg-type]
@@ -361,12 +362,11 @@ def test_a_target_is_out_of_reach_if_the_end_of_the_range_exceeds_it() -> None:
 def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:
     question = question_of()
     sampled = MadeEstimator(1.0, 0.1, 0).sample("failure", 100, question)
-    plan = sampled.plan
-    count, volume = plan.surest
+    of_all = MadeEstimator(1.0, 0.1, 0).sample("failure", 10**6, question)
+    count, share = sampled.plan.surest
     assert count >= 10
-    of_all = AllRows(plan.designs, plan.ratio, plan.standardised)
-    for of, unseen in ((of_all, 0.0), (plan, volume * upper_bound(0, count, 0.96))):
-        look = Look(Candidate({"capacity": 2.0}, np.array([0.1]), True), (replace(sampled, plan=of),), 0.96)
+    for of, unseen in ((of_all, 0.0), (sampled, share * upper_bound(0, count, 0.96))):
+        look = Look(Candidate({"capacity": 2.0}, np.array([0.1]), True), (of,), 0.96)
         assert Designed(task_of(question), (look,), 1, "verified").missable == pytest.approx(unseen)
 
 
