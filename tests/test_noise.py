@@ -1,7 +1,9 @@
 """Simulators that do not repeat: detection, replicates, the noise in the model, and what judges it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.estimates import ProbabilityFindings
+from activefail.findings.learned_from import choices_in_words, known_in_words, saved_choices
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import current, learn_from
@@ -23,6 +27,7 @@ from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import BoundariesOf
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import Results
+from activefail.surrogate.state import classifier_state
 from activefail.verification.probability_estimator import Estimator
 from activefail.verification.surface import score
 from activefail.weighted import WeightedRows
@@ -33,9 +38,10 @@ FRESH = np.random.default_rng(3).random((500, 2))
 
 @dataclass(frozen=True)
 class HalfPlane:
-    """1 − x − y and noise."""
+    """1 − x − y and noise, normal unless it is drawn otherwise."""
 
     noise: float = NOISE
+    draws: Callable[[np.random.Generator, int], np.ndarray] = np.random.Generator.standard_normal
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
     simulated: list[np.ndarray] = field(default_factory=list)
 
@@ -43,7 +49,7 @@ class HalfPlane:
 
     def run(self, X):
         self.simulated.append(X)
-        g = 1.0 - X.sum(axis=1) + self.noise * self.rng.standard_normal(len(X))
+        g = 1.0 - X.sum(axis=1) + self.noise * self.draws(self.rng, len(X))
         nothing = np.zeros(len(X))
         return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), g[:, None], nothing)
 
@@ -120,6 +126,40 @@ def test_the_surface_is_the_probability_of_an_outcome_and_is_what_is_integrated(
     if by_margin:
         data, noise = classifier.latents[0].margin_data, classifier.latents[0].trained.noise
         assert data.warping != "none" or noise * data.unit == pytest.approx(NOISE, rel=0.35)
+
+
+def with_a_bad_one(rng, n):
+    """Normal noise, and 5 % that are six standard deviations worse."""
+    return rng.standard_normal(n) - 6.0 * (rng.random(n) < 0.05)
+
+
+@pytest.mark.parametrize(
+    ("draws", "is_told"),
+    [
+        (np.random.Generator.standard_normal, False),
+        (with_a_bad_one, True),
+        (lambda rng, n: rng.choice([-1.5, -0.4, 0.0, 0.1, 2.0], n), True),
+        (lambda rng, n: 0.5 * rng.standard_t(1.5, n), True),
+    ],
+)
+def test_a_noise_that_is_not_normal_is_told_beside_every_number_of_the_classifier(draws, is_told) -> None:
+    campaign, store = taken(HalfPlane(draws=draws), False, classifier={"learns": "g"}, sampling={"initial": 60})
+    classifier, history = current(campaign, store, write=False).classifier, History.of(store.batches)
+    learnable, settings = campaign.learnable, campaign.settings
+    (saved,) = saved_choices(classifier_state(classifier), campaign.simulator.outcomes, learnable, "g")
+    without_torch = SimpleNamespace(outcomes=classifier.outcomes, latents=[SimpleNamespace(normality=saved.normality)])
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(campaign, store, executor, classifier, history.last_iteration)
+        estimate = estimator.sample("failure", 20, campaign.question).estimate(0.9)
+    found = ProbabilityFindings.of(campaign, history, classifier, "failure", estimate, campaign.question)
+    told = [
+        saved.sentence(settings),
+        *choices_in_words(campaign, history, classifier),
+        " ".join(found.assumptions),
+        known_in_words(campaign, history, classifier, None),
+        known_in_words(campaign, history, without_torch, None),
+    ]
+    assert ["its noise is not normal" in one for one in told] == [is_told] * 5
 
 
 def test_fresh_simulations_of_equal_rows_are_runs_of_their_own(noisy) -> None:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
-from activefail.findings.learned_from import source_in_words
+from activefail.findings.learned_from import noise_notes, source_in_words
 from activefail.findings.lines import titled
 from activefail.findings.quantities import words
 from activefail.loop.history import History
@@ -151,7 +151,7 @@ class ProbabilityFindings:
             question=question.title if question.digest else "",
             outside_space=question.outside(campaign.space) if question.digest else None,
             model=model,
-            of_question=(*question.assumptions, *limits_of(campaign.simulator)),
+            of_question=(*question.assumptions, *noise_notes(classifier, outcome), *limits_of(campaign.simulator)),
             lost=lost,
             repeatable=classifier.repeatable,
             is_clipped=isinstance(latent, ByMargins) and latent.is_clipped,

@@ -1,5 +1,6 @@
 """Reports what each boundary of a campaign is learned from, and why."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from activefail.surrogate.saved import SavedClassifier
 
 
+_NOT_NORMAL = 0.01
+"""P-value below which a margin's noise is not taken to be normal."""
+
+
 class LearnedFrom(NamedTuple):
     """What a boundary is learned from.
 
@@ -26,6 +31,7 @@ class LearnedFrom(NamedTuple):
         margin: name of the margin, or text of the system; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
         is_clipped: whether the margin is clipped at a largest value.
+        normality: of the margin's noise (see `surrogate.margin.MarginFit.normality`); NaN without noise.
         support: number of inducing points that predictions use; 0 if they use all simulations.
         unusable: the one margin that it would otherwise be learned from; empty if there are several, or none.
         reason: why that margin cannot be used.
@@ -36,6 +42,7 @@ class LearnedFrom(NamedTuple):
     margin_score: float
     outcome_score: float
     is_clipped: bool = False
+    normality: float = math.nan
     support: int = 0
     unusable: str = ""
     reason: str = ""
@@ -61,10 +68,32 @@ class LearnedFrom(NamedTuple):
                 "; this margin is clipped at its largest value and does not show a failure behind it, so "
                 "stop.probability cannot end the campaign"
             )
+        if self.normality < _NOT_NORMAL:
+            text += f"; {noise_in_words(self.normality)}"
         rule = settings.probability_rule
         if rule is not None and self.outcome == rule.probability and not self.margin:
             text += "; stop.probability cannot end the campaign"
         return text
+
+
+def noise_in_words(p_value: float) -> str:
+    """What a noise that is not normal means for the classifier's own probabilities."""
+    return (
+        f"its noise is not normal, as the classifier takes it to be (Shapiro and Wilk's test, p = {p_value:.1g}), so "
+        "probabilities by the classifier alone may be several times off; those from fresh simulations are not"
+    )
+
+
+def noise_notes(classifier: "Classifier | SavedClassifier", outcome: str = "") -> list[str]:
+    """A sentence on a margin whose noise is not normal, for the number that the classifier gives; none otherwise.
+
+    Args:
+        classifier: the classifier.
+        outcome: whose boundary gives the number; any if empty.
+    """
+    latents = zip(classifier.outcomes[1:], classifier.latents, strict=True)
+    of = [getattr(latent, "normality", math.nan) for name, latent in latents if outcome in ("", name)]
+    return [f"Of the margin, {noise_in_words(p_value)}." for p_value in of if p_value < _NOT_NORMAL][:1]
 
 
 def source_in_words(name: str) -> str:
@@ -93,7 +122,7 @@ def known_in_words(
     text = f"learned from {counted(sum(counts), 'result')} ({visible(seen)})"
     settings = campaign.settings
     if not settings.is_repeatable:
-        return text
+        return ". ".join([text, *noise_notes(classifier)]).removesuffix(".")
     if error is not None:
         return f"{text}; verified error {verified_in_words(error)}"
     if settings.probability_rule is not None or not all(counts):
@@ -135,7 +164,8 @@ def saved_choices(
         of_outcome = {key.rpartition("/")[2]: state[key] for key in state if key.startswith(f"{outcome}/")}
         clipped, support = "clipped" in of_outcome, len(of_outcome.get("inducing", ())) if name else 0
         unusable = candidate_of(learnable, learns)
-        rows.append(LearnedFrom(outcome, name, from_margin, from_outcomes, clipped, support, unusable, reason))
+        noise = float(of_outcome.get("normality", math.nan))
+        rows.append(LearnedFrom(outcome, name, from_margin, from_outcomes, clipped, noise, support, unusable, reason))
     return rows
 
 
@@ -161,6 +191,7 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
             choice.margin_score,
             choice.outcome_score,
             isinstance(latent, ByMargins) and latent.is_clipped,
+            latent.normality if isinstance(latent, ByMargins) else math.nan,
             latent.size_of_support if isinstance(latent, ByMargins) else 0,
             candidate if reason else "",
             reason,

@@ -40,6 +40,9 @@ _SEARCH = {"ftol": 1e-7, "gtol": 1e-3, "maxiter": 200}
 _COARSE_SEARCH = {"ftol": 1e-5, "gtol": 1e-3, "maxiter": 200}
 """The same for many points: it costs a tenth of a nat of thousands, and saves half of the steps."""
 
+_TESTED = 5000
+"""Most deviations in a test of their distribution; for more, its p-value is not accurate."""
+
 _FIRST_NOISE = 0.1
 """Variance of a margin's noise from which it is learned, in units of the margins' own."""
 
@@ -131,6 +134,21 @@ class MarginFit:
         mean, sd = self._moments(data.features)
         mean[data.rows], sd[data.rows] = own
         return mean, sd
+
+    @cached_property
+    def normality(self) -> float:
+        """How probable noise as unlike a normal distribution is, if it is normal: Shapiro and Wilk's p-value.
+
+        The sample is the margins' deviations from their predictions by all others. NaN for a simulator that repeats.
+        """
+        from scipy.stats import shapiro
+
+        if not self.noise:
+            return math.nan
+        mean, sd = self.left_out()
+        exact = np.flatnonzero(~(self.data.truncated & (self.data.margin <= 0.0)))
+        rows = spread(exact, _TESTED)
+        return float(shapiro((self.data.warped(self.data.margin[rows]) - mean[rows]) / sd[rows]).pvalue)
 
     def _left_out_of_all(self) -> tuple[Array, Array]:
         """In closed form [RasmussenWilliams2006, section 5.4.2]."""
@@ -431,6 +449,11 @@ class MarginLatent:
     def size_of_support(self) -> int:
         """Number of support points; 0 if all points are."""
         return self.trained.data.size_of_support
+
+    @property
+    def normality(self) -> float:
+        """Of the margin's noise (see `MarginFit.normality`)."""
+        return self.trained.normality
 
     @cached_property
     def model(self) -> BoundaryModel:

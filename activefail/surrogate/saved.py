@@ -3,6 +3,7 @@
 It reads the built-in kernels. Its moments are those of the GPyTorch models up to rounding.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -99,6 +100,7 @@ class SavedLatent:
         margin_data: that boundaries of one margin share; None if it is learned from outcomes.
         threshold: the level of the margin in its warped units.
         noise: standard deviation of a margin's noise in these units; 0 if the simulator repeats.
+        normality: of this noise (see `margin.MarginFit.normality`).
     """
 
     prior: SavedPrior
@@ -109,6 +111,7 @@ class SavedLatent:
     margin_data: MarginData | None = None
     threshold: float = 0.0
     noise: float = 0.0
+    normality: float = math.nan
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
@@ -229,7 +232,8 @@ def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
     K, observed = prior.covariance(support, support), data.observed(noise)
     readout, trend, _ = margin_readout(K, Kx, variance, prior.mean, *observed, jitter)
     sd = 0.0 if log_noise is None else float(np.sqrt(noise))
-    return SavedLatent(prior, support, readout, trend, noise, data, noise=sd)
+    normality = float(state.get(f"{name}/normality", math.nan))
+    return SavedLatent(prior, support, readout, trend, noise, data, noise=sd, normality=normality)
 
 
 class Source(NamedTuple):

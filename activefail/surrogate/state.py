@@ -45,6 +45,8 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             (linear, precision), inducing = data.sites, data.inducing
             if data.is_clipped:
                 own["clipped"] = 1  # for readers without the margins
+            if trained.noise:
+                own["normality"] = trained.normality  # for readers without torch
         else:
             linear, precision = (site.numpy() for site in trained.sites)
             own = {"elbo": trained.elbo}

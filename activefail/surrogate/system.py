@@ -3,6 +3,7 @@
 Each mode is smooth where the system's margin has kinks, so it takes fewer simulations. A simulation teaches all modes.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,6 +37,7 @@ class SystemLatent:
 
     margin_data = None
     is_one_sided = False
+    normality = math.nan
 
     @property
     def length_scales(self) -> Array:

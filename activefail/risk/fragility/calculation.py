@@ -8,6 +8,7 @@ import numpy as np
 from activefail.campaign.hazard import Bound, Hazard
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.findings.learned_from import noise_notes
 from activefail.progress import Stage, silent
 from activefail.risk.fragility.band import VerifiedLevel, stored, verify
 from activefail.risk.fragility.curve import Curve, Ladder, Rate, risk_of
@@ -74,7 +75,12 @@ def fragility(
         given=values_in_words(campaign.space, fixed),
         refused=campaign.settings.refused.get("verify", ""),
         confidence=confidence,
-        notes=(*question.assumptions, *_notes(asked, ladder.name), *limits_of(campaign.simulator)),
+        notes=(
+            *question.assumptions,
+            *_notes(asked, ladder.name),
+            *noise_notes(estimator.classifier),
+            *limits_of(campaign.simulator),
+        ),
         outcomes=outcomes,
         terms=terms_of(campaign.simulator, campaign.space.quantities(fixed)),
     )

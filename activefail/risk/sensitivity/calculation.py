@@ -17,6 +17,7 @@ from activefail.campaign.hazard import hazard_question
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
+from activefail.findings.learned_from import noise_notes
 from activefail.parameter import Parameter
 from activefail.progress import Begin, uncounted
 from activefail.reliability.integral import Boundaries, existence
@@ -159,6 +160,7 @@ def sensitivity(
             *varied.notes,
             varied.of_indices,
             *(_notes(decomposition, samples, is_rareness_known=hazard is None) if samples else ()),
+            *([] if classifier is None else noise_notes(classifier, outcome)),
             *limits_of(campaign.simulator),
             *(_notes_beside(scales, p_values or {}) if decomposition.indices else ()),
         ),
