@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import gammaincinv, ndtr
 
 from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
@@ -43,7 +43,7 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.system import ByMargins, SystemLatent
-from activefail.verification.confidence_bounds import BOUND_CONFIDENCE, upper_bound
+from activefail.verification.confidence_bounds import BOUND_CONFIDENCE
 from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
 from activefail.verification.stored_sets import (
     estimate_sizes,
@@ -150,13 +150,17 @@ class Sampled:
     def _bound(self) -> float:
         """Upper bound on the probability among all designs that needs no classifier, from the draws alone.
 
-        What was simulated for certain is known. Each other draw stands for no more than `Plan.surest` says.
+        What was simulated for certain is known. Of the others, each hit counts with its ratio, and one more with the
+        largest that there is [FayFeuer1997].
         """
-        may_be, (draws, share), plan = self.beyond | ~self.answered, self.plan.surest, self.plan
-        of_chance = plan.chance > 0.0
-        known = float((may_be & ~of_chance) @ plan.ratio) / len(may_be)
-        hits = int((may_be & of_chance).sum())
-        return min(1.0, known + share * upper_bound(hits, draws, BOUND_CONFIDENCE) if draws else known)
+        plan, may_be = self.plan, self.beyond | ~self.answered
+        of_chance, m = plan.chance > 0.0, len(may_be)
+        known = float((may_be & ~of_chance) @ plan.ratio) / m
+        parts = np.append(plan.ratio[may_be & of_chance], plan.widest) / m
+        mean, variance = float(parts.sum()), float(parts @ parts)
+        if not mean > 0.0:
+            return min(1.0, known)
+        return min(1.0, known + variance / mean * float(gammaincinv(mean**2 / variance, BOUND_CONFIDENCE)))
 
     def _among_all(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks.
