@@ -299,6 +299,18 @@ class DesignSpace:
             drawn += _POINTS
         return feasible / drawn, drawn
 
+    def check_feasible(self) -> None:
+        """Check that enough designs are feasible for samples.
+
+        Raises:
+            InputError: naming the constraints.
+        """
+        if self.feasible_share < LEAST_FEASIBLE:
+            raise InputError(
+                f"constraints: at least {100 * LEAST_FEASIBLE:g} % of the variables' distribution must meet "
+                f"{' and '.join(repr(one.text) for one in self.constraints)}, got {100 * self.feasible_share:.2g} %."
+            )
+
     def _feasible(self, draw: Callable[[int], Array], n: int) -> Array:
         """n feasible designs from the points of the unit cube that a sampler draws.
 
@@ -308,11 +320,7 @@ class DesignSpace:
         X = self.from_unit(draw(n))
         if not self.constraints:
             return X
-        if self.feasible_share < LEAST_FEASIBLE:
-            raise InputError(
-                f"constraints: at least {100 * LEAST_FEASIBLE:g} % of the variables' distribution must meet "
-                f"{' and '.join(repr(one.text) for one in self.constraints)}, got {100 * self.feasible_share:.2g} %."
-            )
+        self.check_feasible()
         kept = X[self.meets_constraints(X)]
         while len(kept) < n:
             X = self.from_unit(draw(n))

@@ -3,6 +3,7 @@
     python studies/answers.py --part fragility --campaign runs/bearing     8 bearings x 6 hazards (half an hour)
     python studies/answers.py --part lost                                  10 campaigns x 20 estimates
     python studies/answers.py --part outcomes --seeds 3                    3 campaigns x 10 estimates
+    python studies/answers.py --part fresh                                 4 x 10 campaigns x 3 estimates, 10 designs
 
 The parts are
 
@@ -18,22 +19,32 @@ The parts are
     outcomes   failure that is hardly rarer than impact or worse, 2 - x1 - 0.3 sin(2 x2) at most 0 or 0.25, learned from
                80 outcomes: how often P(failure) exceeds the other, and the coverage and mean width of nominal 90 %
                intervals, each of 50 fresh simulations
+    fresh      failure where a normal variable exceeds 1.4, or jumps to failure in a slab of 3.3 %, from campaigns of 16
+               simulations with its margin and two idle variables that a constraint ties, so that 100, 19, 2 or 0.5 % of
+               the designs exist. The shares of nominal 90 % intervals from 400 fresh simulations that contain P, and of
+               90 % bounds without a classifier that hold; different designs; the error. And designs for P <= 10 % with
+               1 % of the designs: how many are verified, and how many of these exceed the target
 
 Each line of --out is one bearing or campaign; a repeated command continues where it stopped.
 """
 
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 from problems import Problem, standard
+from scipy.stats import norm
 from study import Rows, asked, in_memory
 
 from activefail import create_run, open_run, simulate
 from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability.integral import BoundariesOf
+from activefail.risk.design.design_task import DesignTask, Requirement
+from activefail.risk.design.search import find_design
 from activefail.risk.fragility.curve import Curve, Rate, risk_of
 from activefail.risk.fragility.levels import curves_on, intensity_ladder
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -149,6 +160,77 @@ def outcomes(seed, estimates=10):
     return rows
 
 
+SHARES = (1.0, 0.19, 0.02, 0.005)
+JUMP = norm.cdf(-0.79) - norm.cdf(-0.91)
+IDLE = {"a": {"low": 0.0, "high": 1.0}, "b": {"low": 0.0, "high": 1.0}}
+
+
+def jumps(X, at):
+    """A margin, from at, that jumps to failure in a slab."""
+    return np.where((X > -0.91) & (X < -0.79), -1.0, at - X)
+
+
+def tied(share):
+    """The constraint on the idle variables that leaves this share of the designs."""
+    return [f"a - b >= {1.0 - (2.0 * share) ** 0.5}"] if share < 0.5 else []
+
+
+def fresh(share, seed, estimates=3):
+    """The estimates from one campaign."""
+    problem = Problem(lambda X: jumps(X[:, 2], 1.4), IDLE | standard(1))
+    campaign = problem.campaign(
+        seed=seed, constraints=tied(share), sampling__initial=12, sampling__batch=4, sampling__budget=16
+    )
+    learned, rows = in_memory(campaign), []
+    with ThreadExecutor(1) as executor, one_thread():
+        last = learned.history.last_iteration
+        estimator = Estimator(campaign, learned.store, executor, learned.classifier, last)
+        for draw in range(1, estimates + 1):
+            sampled = estimator.sample("failure", 400, Question.of_space(campaign.space).drawn(draw))
+            one = sampled.estimate(0.9)
+            row = {"share": share, "seed": seed, "draw": draw, "bound": one.bound}
+            row |= {"of": (one.probability, one.low, one.high)}
+            rows.append(row | {"different": len(np.unique(sampled.plan.designs, axis=0))})
+    return rows
+
+
+def designed(seed, target=0.1):
+    """The design for a target from one campaign."""
+    capacity = {"k": {"low": 1.0, "high": 4.0}}
+    problem = Problem(lambda X: jumps(X[:, 2], X[:, 3]), IDLE | standard(1) | capacity)
+    campaign = problem.campaign(
+        seed=seed, constraints=tied(0.01), sampling__initial=12, sampling__batch=4, sampling__budget=16
+    )
+    learned = in_memory(campaign)
+    with ThreadExecutor(1) as executor, one_thread():
+        last = learned.history.last_iteration
+        estimator = Estimator(campaign, learned.store, executor, learned.classifier, last)
+        asked_for = Inquiry(None, Question.of_space(campaign.space))
+        required = (Requirement("failure", target),)
+        task = DesignTask(asked_for, {"k": 1.0}, {"k": 4.0}, itemgetter("k"), "k", required, 0.95, 1000)
+        found = find_design(estimator, task)
+    k = found.values["k"]
+    return {"seed": seed, "design": True, "k": k, "true": JUMP + norm.sf(k), "status": found.status}
+
+
+def show_fresh(rows):
+    true = JUMP + norm.sf(1.4)
+    print(f"P {true:.4f}")
+    for share in SHARES:
+        some = rows.of(share=share)
+        middle, low, high = np.array([row["of"] for row in some]).T
+        held, bounds = ((low <= true) & (true <= high)).mean(), np.mean([row["bound"] >= true for row in some])
+        error, different = np.sqrt(np.mean((middle / true - 1.0) ** 2)), min(row["different"] for row in some)
+        print(
+            f"  {share:.1%}: {held:.2f} of {len(some)} intervals cover, mean width {np.mean(high - low) / true:.2f} P"
+        )
+        print(f"    bounds {bounds:.2f}, error {error:.2f}, at least {different} of 400 designs are different")
+    some = rows.of(design=True)
+    verified = [row for row in some if row["status"] == "verified"]
+    over = sum(row["true"] > 0.1 for row in verified)
+    print(f"{len(verified)} of {len(some)} designs verified, {over} of these exceed the target")
+
+
 def show_outcomes(rows):
     of = np.array([row["of"] for row in rows])
     print(f"{len(of)} estimates; P(failure) exceeds P(impact or worse) in {(of[:, 1, 0] > of[:, 0, 0]).sum()}")
@@ -206,8 +288,16 @@ def main():
                 for row in outcomes(seed) if rows.lack(seed=seed) else ():
                     rows.add(**row)
             show_outcomes(rows.finished)
+        case "fresh":
+            for seed in range(options.seeds):
+                for share in SHARES:
+                    for row in fresh(share, seed) if rows.lack(seed=seed, share=share) else ():
+                        rows.add(**row)
+                if rows.lack(seed=seed, design=True):
+                    rows.add(**designed(seed))
+            show_fresh(rows)
         case _:
-            raise SystemExit("--part: must be fragility, lost or outcomes.")
+            raise SystemExit("--part: must be fragility, fresh, lost or outcomes.")
 
 
 if __name__ == "__main__":

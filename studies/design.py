@@ -14,7 +14,7 @@ largest D_tot, and of at least 1.2 times the target at the smallest. The parts a
                8,000 pulses, whose outcomes are all simulated, so that the true share is known exactly. "cover" is the
                share of 95 % intervals that contain it, "x MC" and "x Sobol'" how many times more simulations Monte
                Carlo (normal interval) and scrambled Sobol' points (t-interval over 8 randomisations of 32) need for an
-               interval of the same width. --estimators names other ways to draw them than the package's strata
+               interval of the same width. --estimators names other ways to draw them than the package's sceptical plan
     designs    `Run.design`: status, simulations, the probability by 10,000 fresh pulses, and D_tot over the smallest
                one beyond which the target is met. That is read off a curve by 2,000 pulses, scaled to this probability
     curves     the classifier's curves of each bearing of the first target, against PGV and against A_p, and those of
@@ -41,7 +41,6 @@ from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability import estimate as importance
 from activefail.reliability.integral import boundary_of
-from activefail.reliability.strata import plan_strata
 from activefail.surrogate.threads import one_thread
 from activefail.weighted import WeightedRows
 
@@ -142,7 +141,7 @@ def by_importance(weight, wider):
 
     def make(latent, rows, rng):
         importance._PRIOR_WEIGHT, importance.WIDER = weight, wider
-        return importance.plan_estimate(latent, rows, importance.baseline(latent, rows), SIMULATIONS, rng)
+        return importance.plan_estimate(latent, rows, SIMULATIONS, rng)
 
     return by_plan(make)
 
@@ -181,7 +180,9 @@ def by_strata(a, b, by_doubt, edges, by_volume):
 
 
 ESTIMATORS = {
-    "strata": by_plan(lambda latent, rows, rng: plan_strata(latent, rows, SIMULATIONS, rng)),
+    "sceptical": by_plan(
+        lambda latent, rows, rng: importance.plan_estimate(latent, rows, SIMULATIONS, rng, sceptical=True)
+    ),
     "importance-12": by_importance(12.0, 2.0),
     "importance-16": by_importance(16.0, 2.0),
     "importance-not-widened": by_importance(12.0, 1.0),

@@ -36,8 +36,7 @@ from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
 from activefail.findings.learned_from import noise_notes
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import baseline, plan_estimate
-from activefail.reliability.strata import plan_strata
+from activefail.reliability.estimate import plan_estimate
 from activefail.simulators.interface import Results
 from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
@@ -140,7 +139,7 @@ def by_line(history):
 
 
 def coverage(case, shift, ratio, repeats):
-    """How often 90 % intervals hold the truth, by a classifier that is wrong: importance sampling, and strata."""
+    """How often 90 % intervals hold the truth, by a classifier that is wrong: of a trusting and of a sceptical plan."""
     space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xy"))
     offset = OFFSETS[case]
     truth = ndtr((GRID.sum(axis=1) - offset) / NOISE).mean()
@@ -148,11 +147,11 @@ def coverage(case, shift, ratio, repeats):
     def probit(X):
         return (X.sum(axis=1) - offset - shift) / (ratio * NOISE)
 
-    of_classifier, held = baseline(probit, space), []
+    held = []
     for seed in range(repeats):
         rng = np.random.default_rng(seed)
-        in_strata = plan_strata(probit, space, FRESH, rng)
-        for plan in (plan_estimate(probit, space, of_classifier, FRESH, rng), in_strata):
+        for sceptical in (False, True):
+            plan = plan_estimate(probit, space, FRESH, rng, repeatable=False, sceptical=sceptical)
             beyond = rng.random(FRESH) < ndtr((plan.designs.sum(axis=1) - offset) / NOISE)
             found = plan.estimate(beyond, np.ones(FRESH, dtype=bool), 0.9)
             held.append(found.low <= truth <= found.high)

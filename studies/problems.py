@@ -131,28 +131,30 @@ def _rp60(X):
 _UP, _DOWN = np.ones(5) / 5.0**0.5, np.array([1.0, -1.0, 1.0, -1.0, 1.0]) / 5.0**0.5
 
 BENCHMARK = {
-    "four-branch": Problem(_four_branch, standard(2), 2.2225e-3),
+    "four-branch": Problem(_four_branch, standard(2), 2.222795e-3),
     "RP8": Problem(
         lambda X: X @ [1.0, 2.0, 2.0, 1.0, -5.0, -5.0],
         variables(*[("lognormal", 120.0, 12.0)] * 4, ("lognormal", 50.0, 10.0), ("lognormal", 40.0, 8.0)),
-        7.9e-4,
+        7.8977e-4,
     ),
-    "RP22": Problem(lambda X: 2.5 - (X[:, 0] + X[:, 1]) / ROOT + 0.1 * (X[:, 0] - X[:, 1]) ** 2, standard(2), 4.16e-3),
+    "RP22": Problem(
+        lambda X: 2.5 - (X[:, 0] + X[:, 1]) / ROOT + 0.1 * (X[:, 0] - X[:, 1]) ** 2, standard(2), 4.207306e-3
+    ),
     "RP25": Problem(
         lambda X: np.maximum(X[:, 0] ** 2 - 8.0 * X[:, 1] + 16.0, -16.0 * X[:, 0] + X[:, 1] + 32.0),
         standard(2),
         4.148566e-5,
     ),
-    "RP33": Problem(lambda X: np.minimum(3.0 * 3.0**0.5 - X.sum(axis=1), 3.0 - X[:, 2]), standard(3), 2.57e-3),
+    "RP33": Problem(lambda X: np.minimum(3.0 * 3.0**0.5 - X.sum(axis=1), 3.0 - X[:, 2]), standard(3), 2.575598e-3),
     "RP38": Problem(
-        _rp38, normals(*((mean, 0.1 * mean) for mean in (350.0, 50.8, 3.81, 173.0, 9.38, 33.1, 0.036))), 8.1e-3
+        _rp38, normals(*((mean, 0.1 * mean) for mean in (350.0, 50.8, 3.81, 173.0, 9.38, 33.1, 0.036))), 8.0524e-3
     ),
     "RP53": Problem(
         lambda X: np.sin(2.5 * X[:, 0]) + 2.0 - (X[:, 0] ** 2 + 4.0) * (X[:, 1] - 1.0) / 20.0,
         normals((1.5, 1.0), (2.5, 1.0)),
-        3.13e-2,
+        3.132049e-2,
     ),
-    "RP55": Problem(_rp55, variables(*[("uniform", -1.0, 1.0)] * 2), 5.6e-1),
+    "RP55": Problem(_rp55, variables(*[("uniform", -1.0, 1.0)] * 2), 5.600144e-1),
     "RP60": Problem(
         _rp60,
         variables(
@@ -162,15 +164,17 @@ BENCHMARK = {
             ("lognormal", 2000.0, 200.0),
             ("lognormal", 1200.0, 480.0),
         ),
-        4.5e-2,
+        4.483966e-2,
     ),
-    "parabola-10d": Problem(lambda X: 3.5 - X[:, 0] + 0.05 * (X[:, 1:] ** 2).sum(axis=1), standard(10), 5.4e-5),
+    "parabola-10d": Problem(lambda X: 3.5 - X[:, 0] + 0.05 * (X[:, 1:] ** 2).sum(axis=1), standard(10), 5.22365e-5),
     "hidden disc": Problem(
-        lambda X: np.minimum(3.2 - X[:, 0], np.hypot(X[:, 0] + 2.2, X[:, 1] - 2.4) - 0.6), standard(2), 1.99e-3
+        lambda X: np.minimum(3.2 - X[:, 0], np.hypot(X[:, 0] + 2.2, X[:, 1] - 2.4) - 0.6), standard(2), 1.954360e-3
     ),
-    "two modes 5d": Problem(lambda X: np.minimum(3.2 - X @ _UP, 3.4 + X @ _DOWN), standard(5), 1.02e-3),
+    "two modes 5d": Problem(lambda X: np.minimum(3.2 - X @ _UP, 3.4 + X @ _DOWN), standard(5), 1.024057e-3),
 }
-"""With the probabilities of `reliability.py --references`."""
+"""Their probabilities are exact to the digits given: integrals of one variable, the others in closed form. RP8, RP38
+and RP60 are means over 16, 16 and 8 scrambled Sobol' sequences of 2^18, 2^18 and 2^17 points, one variable in closed
+form, with standard errors of 2.5e-7, 1.4e-6 and 3e-8. `reliability.py --references` checks them."""
 
 HELD_OUT = ("RP14", "RP24", "RP31", "RP35", "RP54", "RP57", "RP75", "RP89", "RP110")
 """Problems on which nothing was chosen; otbenchmark defines them."""

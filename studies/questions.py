@@ -32,15 +32,14 @@ from reliability import stopping_campaign
 from study import asked, head, in_memory, line
 
 from activefail.campaign.question import Question
-from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
-from activefail.reliability.integral import boundary_of
-from activefail.reliability.strata import plan_strata
+from activefail.reliability.estimate import deviation_of_margins, plan_estimate
+from activefail.reliability.integral import boundary_of, integrate
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 from activefail.verification.mode_check import check_of, places_of_check
 from activefail.verification.probability_estimator import Sampled
 
-FRESH, REPEATS, REPEATS_OF_STRATA, TRUTH = 50, 5, 20, 4_000_000
+FRESH, REPEATS, REPEATS_OF_OUTCOMES, TRUTH = 50, 5, 20, 4_000_000
 
 
 def beam(load, sd, cov):
@@ -66,9 +65,9 @@ def answers(problem, learned, space, seed):
     if not isinstance(latent, MarginLatent):
         return
     standardised, rng = boundary_of(classifier, campaign.features, "failure"), np.random.default_rng([seed, 1])
-    integral, answered = baseline(standardised, space), np.ones(FRESH, dtype=bool)
+    integral, answered = integrate(lambda X: standardised(X)[:, None], space).of(0), np.ones(FRESH, dtype=bool)
     for _ in range(REPEATS):
-        plan = plan_estimate(standardised, space, integral, FRESH, rng)
+        plan = plan_estimate(standardised, space, FRESH, rng)
         margin = problem.limit(plan.designs)
         plan = plan.deviating(deviation_of_margins(latent, campaign.features, plan.designs, margin))
         before = Sampled(plan, margin <= 0.0, answered).estimate(0.9)
@@ -141,12 +140,12 @@ def from_outcomes(names, seeds):
             standardised = boundary_of(learned.classifier, learned.campaign.features, "failure")
             with one_thread():
                 for title, space in spaces.items():
-                    for repeat in range(REPEATS_OF_STRATA):
-                        plan = plan_strata(standardised, space, FRESH, np.random.default_rng([seed, repeat]))
-                        if plan is not None:
-                            failed = problem.limit(plan.designs) <= 0.0
-                            found = plan.estimate(failed, np.ones(FRESH, dtype=bool), 0.9)
-                            intervals[title].append((found.low, found.high))
+                    for repeat in range(REPEATS_OF_OUTCOMES):
+                        rng = np.random.default_rng([seed, repeat])
+                        plan = plan_estimate(standardised, space, FRESH, rng, sceptical=True)
+                        failed = problem.limit(plan.designs) <= 0.0
+                        found = plan.estimate(failed, np.ones(FRESH, dtype=bool), 0.9)
+                        intervals[title].append((found.low, found.high))
         for title, space in spaces.items():
             P = (problem.limit(space.from_unit(np.random.default_rng(0).random((TRUTH, 2)))) <= 0.0).mean()
             low, high = np.transpose(intervals[title])

@@ -47,8 +47,8 @@ from study import Rows, VirtualTime, asked, head, in_memory, line, parallel, spr
 from activefail.acquisition.population import population
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
-from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
-from activefail.reliability.integral import boundary_of
+from activefail.reliability.estimate import deviation_of_margins, plan_estimate
+from activefail.reliability.integral import boundary_of, integrate
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 
@@ -82,12 +82,11 @@ def wrong_shares(problem, space, standardised, rng):
 def estimated(problem, classifier, features, space, repeats, rng):
     """The classifier's probability, and estimates from fresh simulations."""
     latent, standardised = classifier.latent("failure"), boundary_of(classifier, features, "failure")
-    integral = baseline(standardised, space)
-    found = {"probability": integral.probability}
+    found = {"probability": integrate(lambda X: standardised(X)[:, None], space).of(0).probability}
     for m in FRESH:
         estimates = []
         for _ in range(repeats):
-            plan = plan_estimate(standardised, space, integral, m, rng)
+            plan = plan_estimate(standardised, space, m, rng)
             results, answered = problem.run(plan.designs), np.ones(m, dtype=bool)
             plain = plan.estimate(results.outcome == 1, answered, 0.9)
             if isinstance(latent, MarginLatent):

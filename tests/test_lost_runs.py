@@ -20,6 +20,7 @@ from activefail.loop.learning import Learned, current
 from activefail.loop.running import run
 from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
+from activefail.reliability.estimate import plan_estimate
 from activefail.reliability.hidden import hidden_places
 from activefail.reliability.integral import BoundariesOf, OfBoundary, boundary_of, integrate
 from activefail.risk.classifier_probability import classifier_probability
@@ -30,6 +31,7 @@ from activefail.surrogate.margin import MarginLatent, fit_margin
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import expected_error, verify
 from activefail.verification.probability_estimator import Estimator, Existing
+from activefail.weighted import WeightedRows
 
 DIES_BELOW = -2.0
 IF_NONE, IF_ALL = 1.42e-3, 0.0241
@@ -248,11 +250,16 @@ def test_the_share_of_designs_that_exist_has_an_interval_that_holds_where_the_cl
     held = 0
     for seed in range(40):
         exists = np.random.default_rng(seed).random(100) < 0.7
-        known = Existing(OfBoundary(0.8, 0.0, 0.0), np.full(100, 0.8), exists, np.ones(100))
-        middle, low, high = known.share(0.9, False)
-        assert middle == pytest.approx(exists.mean())
+        for n in (100, 10_000):
+            # All rows, or so many that hardly anything is known for certain.
+            rows = WeightedRows(("x",), np.arange(float(n))[:, None], np.ones(n))
+            plan = plan_estimate(lambda X: np.full(len(X), -50.0), rows, 100, np.random.default_rng(seed))
+            known = Existing(OfBoundary(0.8, 0.0, 0.0), np.full(100, 0.8), exists, plan)
+            middle, low, high = known.share(0.9)
+            assert middle == pytest.approx(exists.mean())
+            if n == 100:
+                assert (low, high) == pytest.approx((middle, middle))
         held += low <= 0.7 <= high
-        assert known.share(0.9, True) == pytest.approx((exists.mean(),) * 3)
     assert held >= 33
 
 

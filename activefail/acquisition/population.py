@@ -25,19 +25,24 @@ _AT_ONCE = 4096
 _CORRELATIONS = (0.9, 0.7)
 """Correlation of a local point with its parent, of each half of the local part."""
 
+_EFFORT, _ROUND = 64, 2**17
+"""Most points that are tried for each feasible design that is wanted, and most that are tried at once."""
+
 
 class Population(NamedTuple):
-    """A weighted sample of the design measure.
+    """A weighted sample of the design measure: feasible designs alone, with means over which weighted means are.
 
     Attributes:
         Z: (n, d) points of standard normal space; NaN for weighted rows, which have none.
         X: (n, d) the same points as designs.
         weight: (n,) density of the design measure over that of the sample.
+        wide: (n,) density of the radial distribution over that of the sample; `weight` for weighted rows.
     """
 
     Z: Array
     X: Array
     weight: Array
+    wide: Array
 
 
 Importance = Callable[[Array], Array]
@@ -135,7 +140,7 @@ def finite(features: FeatureMap, X: Array) -> Array:
 def population(
     space: DesignSpace | WeightedRows, n: int, importance: Importance | None, rng: np.random.Generator
 ) -> Population:
-    """A population of n designs; of weighted rows all, whatever n.
+    """A population of n designs, all feasible; of weighted rows all, whatever n.
 
     Half of it is radial: it fills the ball outside which the probability is `REACH`, in all directions. The other half
     is local, around parents that are drawn from another radial sample in proportion to weight times importance. Parents
@@ -143,12 +148,16 @@ def population(
 
     Args:
         space: the design space, or weighted rows.
-        n: number of designs.
+        n: number of designs. Under constraints there are a few more, or fewer if `_EFFORT` times as many points have
+            too few feasible ones among them.
         importance: of designs; without it, the population is radial.
         rng: generator of the sample.
+
+    Raises:
+        InputError: if hardly any design is feasible.
     """
     if isinstance(space, WeightedRows):
-        return Population(np.full_like(space.X, np.nan), space.X, space.weight)
+        return Population(np.full_like(space.X, np.nan), space.X, space.weight, space.weight)
     count = min(_PARENTS, max(1, n // _PER_PARENT))
     parents = None if importance is None else first_parents(space, n, count, importance, rng)
     return around(space, n, parents, rng)
@@ -158,41 +167,53 @@ def first_parents(
     space: DesignSpace, n: int, count: int, importance: Importance, rng: np.random.Generator
 ) -> Array | None:
     """So many parents of a population of n designs, (count, d), from a radial sample; None if no design matters."""
-    Z = _radial(n // 2, space.dimension, rng)
-    X, weight = _feasible(space, Z, 1.0 / _radial_ratio(Z))
-    return _parents(Z, importance(X) * weight, count, rng)
+    drawn = around(space, n // 2, None, rng)
+    return next_parents(drawn, count, importance(drawn.X), rng)
 
 
 def next_parents(drawn: Population, count: int, importance: Array, rng: np.random.Generator) -> Array | None:
     """Parents of another population, (count, d), from this one, whose designs matter so much, (n,)."""
-    return _parents(drawn.Z, drawn.weight * importance, count, rng)
-
-
-def _parents(Z: Array, values: Array, count: int, rng: np.random.Generator) -> Array | None:
+    values = drawn.weight * importance
     if not values.sum() > 0.0:
         return None
-    return np.asarray(Z[rng.choice(len(Z), count, p=values / values.sum())])
+    return np.asarray(drawn.Z[rng.choice(len(values), count, p=values / values.sum())])
 
 
 def around(space: DesignSpace, n: int, parents: Array | None, rng: np.random.Generator) -> Population:
     """A population of n designs around parents, (k, d), that are independent of it; radial without parents."""
-    if parents is None:
-        Z = _radial(n, space.dimension, rng)
-        return Population(Z, *_feasible(space, Z, 1.0 / _radial_ratio(Z)))
-    Z = np.concatenate([_radial(n // 2, space.dimension, rng), _local(parents, n - n // 2, rng)])
-    share = (n // 2) / n
-    ratio = share * _radial_ratio(Z) + (1.0 - share) * _local_ratio(Z, parents)
-    return Population(Z, *_feasible(space, Z, 1.0 / ratio))
 
+    def tried(count: int) -> tuple[Array, Array, Array]:
+        """Points, and the densities of the normal and the radial distribution over theirs."""
+        if parents is None:
+            Z = _radial(count, space.dimension, rng)
+            return Z, 1.0 / _radial_ratio(Z), np.ones(count)
+        Z = np.concatenate([_radial(count // 2, space.dimension, rng), _local(parents, count - count // 2, rng)])
+        share, wide = (count // 2) / count, _radial_ratio(Z)
+        ratio = share * wide + (1.0 - share) * _local_ratio(Z, parents)
+        return Z, 1.0 / ratio, wide / ratio
 
-def _feasible(space: DesignSpace, Z: Array, weight: Array) -> tuple[Array, Array]:
-    """Designs, (n, d), at points of standard normal space, and their weights under the constraints, (n,).
-
-    The weights of infeasible designs are 0. A feasible one takes the place of each, where features exist.
-    """
-    X = space.from_normal(Z)
     if not space.constraints:
-        return X, weight
-    feasible = space.meets_constraints(X)
-    X[~feasible] = X[feasible.argmax()] if feasible.any() else space.sobol(1, np.random.default_rng(0))[0]
-    return X, weight * feasible / space.feasible_share
+        Z, weight, wide = tried(n)
+        return Population(Z, space.from_normal(Z), weight, wide)
+    return _feasible(space, n, tried)
+
+
+def _feasible(space: DesignSpace, n: int, tried: Callable[[int], tuple[Array, Array, Array]]) -> Population:
+    """About n feasible designs of the points that are tried, which have weights conditional on the constraints.
+
+    Raises:
+        InputError: if hardly any design is feasible.
+    """
+    space.check_feasible()
+    found, trials, count = list[Population](), 0, 0
+    while count < n and trials < _EFFORT * n:
+        # In equal rounds, whose points have one density.
+        size = min(_ROUND, max(n, math.ceil(n / space.feasible_share)))
+        Z, weight, wide = tried(size)
+        X = space.from_normal(Z)
+        kept = space.meets_constraints(X)
+        found.append(Population(Z[kept], X[kept], weight[kept], wide[kept]))
+        trials, count = trials + size, count + int(kept.sum())
+    Z, X, weight, wide = (np.concatenate(of) for of in zip(*found, strict=True))
+    # A mean over the points that were tried, of what an infeasible one has no part in.
+    return Population(Z, X, weight * (count / trials / space.feasible_share), wide)

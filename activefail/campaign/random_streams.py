@@ -17,6 +17,7 @@ STREAMS = {
     "hidden": 12,
     "modes": 13,
     "stripe": 14,
+    "exists": 15,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

@@ -11,7 +11,7 @@ from typing import Any
 from activefail.errors import ActivefailError, InputError
 from activefail.risk.design.design_task import LOOKS
 
-STEPS = 2 * len(LOOKS)
+STEPS = 2 * LOOKS
 """Most stages of a verification: a search and simulations for each look."""
 
 

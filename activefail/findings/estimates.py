@@ -11,7 +11,7 @@ from activefail.findings.learned_from import noise_notes, source_in_words
 from activefail.findings.lines import titled
 from activefail.findings.quantities import words
 from activefail.loop.history import History
-from activefail.reliability.estimate import LARGEST_RATIO, ModeShare, ProbabilityEstimate
+from activefail.reliability.estimate import ModeShare, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import alike, interval_percent, percent, significant
 from activefail.simulators.bearing import limits_of
@@ -19,14 +19,10 @@ from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin_choice import OUTCOMES
 from activefail.surrogate.system import ByMargins
-from activefail.verification.confidence_bounds import upper_bound
+from activefail.verification.confidence_bounds import BOUND_CONFIDENCE, upper_bound
 from activefail.verification.error import ErrorEstimate
 from activefail.verification.surface import SurfaceScore
 from activefail.visible import or_worse, visible
-
-BOUND_CONFIDENCE = 0.9
-"""One-sided confidence of the bounds without a model."""
-
 
 _DEVIATING = 2.0
 """Deviation of margins above which a note reports it: the interval allows for this much in any case."""
@@ -74,14 +70,8 @@ def bound_without_model(campaign: Campaign, history: History, outcome: str) -> B
 
 
 def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
-    """The bound from fresh simulations alone.
-
-    A fresh simulation is drawn beyond the boundary at least 1/`LARGEST_RATIO` times as often as the probability says.
-    """
-    high = estimate.high
-    if estimate.draws:
-        among_all = LARGEST_RATIO * upper_bound(estimate.hits, estimate.draws, BOUND_CONFIDENCE)
-        high = min(1.0, among_all / max(estimate.exists, among_all))
+    """The bound from fresh simulations alone, among the designs that exist."""
+    high = min(1.0, estimate.bound / max(estimate.exists, estimate.bound)) if estimate.bound else 0.0
     return Bound(high, estimate.simulations, "fresh simulations")
 
 

@@ -13,30 +13,31 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
+from scipy.special import gammaincinv, ndtr, ndtri, stdtrit
 
 from activefail.acquisition.by_margin import doubt
-from activefail.acquisition.population import finite, population
+from activefail.acquisition.population import Importance, finite, population
 from activefail.features import FeatureMap
+from activefail.reliability.draws import Rows, expected_draws, merged, systematic
 from activefail.reliability.hidden import ModeCheck
 from activefail.reliability.integral import Boundaries, Integral, OfBoundary, Standardised, integrate
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.system import ByMargins
 from activefail.weighted import WeightedRows
 
-RADIAL = 20_000
-"""Designs of the radial population from which the simulations are drawn."""
+ROWS = 20_000
+"""Designs of the population from which the simulations are drawn."""
 
-UNIFORM = 0.3
-"""Share of the simulations that are drawn without regard to the classifier's doubt."""
+UNIFORM, _SCEPTICAL = 0.3, 0.5
+"""Share of the simulations that are drawn without regard to the classifier's doubt, and of a sceptical plan."""
 
-LARGEST_RATIO = 2.0 / UNIFORM
-"""Largest density of the design measure over that of a fresh simulation. A radial population has at least half the
-density of the measure everywhere."""
+_UNSEEN = 0.14
+"""Hits of these simulations that a sceptical plan expects where the classifier is sure, unless the outcome is rare: the
+first parameter of a gamma distribution."""
 
 SURE = 4.0
 """Standard deviations from the boundary beyond which the classifier is sure."""
@@ -50,8 +51,13 @@ _FARTHEST = 1e6
 _PRIOR_WEIGHT = 16.0
 """Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
 
-_ACCURACY = 0.01
-"""Relative standard error of the baseline of a plan."""
+_INTEGRAL, _ACCURACIES = 0.2, (0.002, 0.02)
+"""Largest standard error of the baseline of a plan over that which the classifier's doubt leaves to the corrections;
+and the ends of what it may be over the probability."""
+
+_RARE = 0.01
+"""Probability below which an outcome is rare: draws without regard to the classifier go farther out than the
+distribution, and fewer hits are expected in proportion, with which its interval would be too wide."""
 
 _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
@@ -82,18 +88,6 @@ class ModeShare(NamedTuple):
         return {f"{name}{key}": one for name, of in pairs for key, one in zip(keys, of, strict=True)}
 
 
-class Doubt(NamedTuple):
-    """How wrong the classifier may be on one side of the boundary, by its own doubt.
-
-    Attributes:
-        floor: variance of one correction.
-        of_population: variance of the mean correction due to the population from which the designs were drawn.
-    """
-
-    floor: float
-    of_population: float
-
-
 @dataclass(frozen=True)
 class ProbabilityEstimate:
     """A failure probability with its interval.
@@ -112,9 +106,7 @@ class ProbabilityEstimate:
         surprising: how many contradict it where it was sure, by four standard deviations.
         method: how the fresh simulations were drawn.
         deviation: of the margins of the fresh simulations (see `deviation_of_margins`); 1 without margins.
-        draws: of these simulations, some of them drawn repeatedly; 0 if they are all rows of the distribution, so that
-            the interval is that of the numerical failures alone.
-        hits: draws that ended beyond the boundary, or may have.
+        bound: upper bound on the probability among all designs that needs no classifier, with 90 % confidence.
         check: of a question; None if none was made.
         exists: lower end of the share of designs that exist.
         lost: the classifier's probability if none, and if all, of the runs that are probably lost end beyond the
@@ -135,8 +127,7 @@ class ProbabilityEstimate:
     surprising: int
     method: str
     deviation: float = 1.0
-    draws: int = 0
-    hits: int = 0
+    bound: float = 1.0
     check: ModeCheck | None = None
     exists: float = 1.0
     lost: tuple[float, float] | None = None
@@ -179,6 +170,7 @@ def estimated(
     outcomes: tuple[Array, NDArray[np.bool_], NDArray[np.bool_]],
     confidence: float,
     method: str,
+    unreached: float,
 ) -> ProbabilityEstimate:
     """The estimate with an interval and a recall, of which no end is below 0 or above 1.
 
@@ -188,44 +180,25 @@ def estimated(
         outcomes: of the draws, the arguments of `counted`.
         confidence: of the interval.
         method: how the simulations were drawn.
+        unreached: probability of designs that are never drawn; all of them may fail.
     """
     middle, low, high = (min(1.0, max(0.0, end)) for end in interval)
-    _, beyond, answered = outcomes
-    hits = int((beyond | ~answered).sum())
-    # No design is drawn farther out than `REACH`; all of them may fail.
-    ends = min(low, middle), min(1.0, max(high, middle) + REACH)
+    ends = min(low, middle), min(1.0, max(high, middle) + unreached)
     numbers = counted(*outcomes)
-    return ProbabilityEstimate(middle, *ends, confidence, *recall, *numbers, method, draws=len(beyond), hits=hits)
+    return ProbabilityEstimate(middle, *ends, confidence, *recall, *numbers, method)
 
 
-@dataclass(frozen=True, eq=False)
-class AllRows:
-    """All rows of a distribution, of which only the numerical failures remain unknown.
+@dataclass(frozen=True)
+class Doubt:
+    """How wrong the classifier may be on one side of the boundary, by its own doubt.
 
     Attributes:
-        designs: (n, k).
-        ratio: (n,) weights, with mean 1.
-        standardised: (n,) the latent's mean/sd.
+        floor: variance of the sum of the corrections, due to the draws.
+        of_rows: the same due to the rows from which the designs were drawn, which are a sample themselves.
     """
 
-    designs: Array
-    ratio: Array
-    standardised: Array
-
-    surest: ClassVar[tuple[int, float]] = (0, 0.0)
-
-    def estimate(
-        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
-    ) -> ProbabilityEstimate:
-        """The share of the rows (see `Plan.estimate`)."""
-        share, predicted = self.ratio / self.ratio.sum(), self.standardised > 0.0
-        low, high = float(share @ (beyond & answered)), float(share @ (beyond | ~answered))
-        middle = float(share @ np.where(answered, beyond, predicted))
-        hit = float(share @ (beyond & answered & predicted))
-        missed = float(share @ (~predicted & (beyond | ~answered)))
-        recall = hit / low if low else math.nan, hit / (hit + missed) if hit else 0.0
-        numbers = counted(self.standardised, beyond, answered)
-        return ProbabilityEstimate(middle, low, high, confidence, *recall, *numbers, "all rows of the distribution")
+    floor: float
+    of_rows: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,30 +206,41 @@ class Plan:
     """Fresh designs that correct a classifier's failure probability.
 
     Attributes:
-        designs: (m, d).
-        ratio: (m,) density of the design measure over that of the draws.
+        designs: (m, d), in the order in which they were drawn.
+        ratio: (m,) density of the design measure over that of the draws: m times the part of the distribution that the
+            design has, over its expected number of draws. The mean of `ratio` times values estimates their mean.
+        chance: (m,) the part of the variance that is due to the draw: 0 of designs that are drawn for certain, and
+            have no noise.
+        sampled: (m,) what the square of each one's value adds to the variance of the mean because the rows from which
+            it was drawn are a sample themselves.
         standardised: (m,) the latent's mean/sd.
         probability: the share of the distribution for which the classifier predicts the outcome.
         standard_error: of its integration.
         doubts: the classifier's doubt of the designs that it puts short of the boundary, and beyond it, if the latent's
             standard deviations are larger by a factor.
+        widest: largest ratio among all designs that might have been drawn or not; 0 if there are none.
+        unseen: hits that are expected where the classifier is sure.
         deviation: this factor, of the margins of the fresh simulations (see `deviation_of_margins`).
         ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
             where all are; None if none is probably lost.
-        of: a plan of the same designs for another boundary and its baseline.
-        drawn_from: the designs, (N, d), that might have been drawn, and what each adds to the mean square of `ratio`,
-            (N,).
+        of: a plan of the same designs for another boundary.
+        drawn_from: the designs, (N, d), that might have been drawn, and what the square of each one's value adds to the
+            variance of the mean, (N,).
     """
 
     designs: Array
     ratio: Array
+    chance: Array
+    sampled: Array
     standardised: Array
     probability: float
     standard_error: float
     doubts: Callable[[float], tuple[Doubt, Doubt]]
+    widest: float
+    unseen: float = 0.0
     deviation: float = 1.0
     ends: "tuple[Plan, Plan] | None" = None
-    of: "Callable[[Standardised, OfBoundary], Plan] | None" = None
+    of: "Callable[[Standardised], Plan] | None" = None
     drawn_from: tuple[Array, Array] | None = None
 
     def deviating(self, deviation: float) -> "Plan":
@@ -274,11 +258,22 @@ class Plan:
 
     @property
     def surest(self) -> tuple[int, float]:
-        """Simulations that would meet failure where the classifier is sure, and the share that each may stand for.
+        """Draws that would meet failure anywhere, and the largest share of the distribution that each stands for."""
+        draws = int((self.chance > 0.0).sum())
+        return draws, self.widest * draws / len(self.designs)
 
-        A part of them is drawn without regard to the classifier's doubt.
+    def moments(self, values: Array) -> tuple[float, float, float]:
+        """Of the mean of `ratio` times values, (m,): variance and third central moment due to the draws.
+
+        And the variance due to the rows. A draw is compared with the two beside it in the order, which resemble it.
         """
-        return len(self.designs), 1.0 / UNIFORM
+        of_chance = self.chance > 0.0
+        parts = (values * self.ratio)[of_chance] * np.sqrt(self.chance[of_chance]) / len(values)
+        of_rows = float(self.sampled @ values**2)
+        if len(parts) < 3:
+            return float(parts @ parts), 0.0, of_rows
+        apart = (2.0 * parts - np.roll(parts, 1) - np.roll(parts, -1)) / 6.0**0.5
+        return float(apart @ apart), float((apart**3).sum()) * 6.0**0.5, of_rows
 
     def estimate(
         self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
@@ -295,8 +290,11 @@ class Plan:
         _, low, _ = if_none._interval(beyond & answered, confidence)
         _, _, high = if_all._interval(beyond | ~answered, confidence)
         recall = self._recall(beyond, answered, confidence)
-        outcomes, method = (self.standardised, beyond, answered), "importance sampling of the classifier's mistakes"
-        of = estimated((middle, low, high), recall, outcomes, confidence, method)
+        outcomes = self.standardised, beyond, answered
+        is_exact = not (self.chance.any() or self.sampled.any() or self.standard_error)
+        method = "all rows of the distribution" if is_exact else "importance sampling of the classifier's mistakes"
+        reach = 0.0 if is_exact else REACH
+        of = estimated((middle, low, high), recall, outcomes, confidence, method, reach)
         return replace(of, deviation=self.deviation)
 
     def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
@@ -318,13 +316,34 @@ class Plan:
         return self.doubts(self.deviation)
 
     def _interval(self, beyond: NDArray[np.bool_], confidence: float) -> Interval:
-        corrections = (beyond.astype(np.float64) - self.predicted) * self.ratio
-        (missed, false), m = self._doubts, len(corrections)
-        middle = self.probability + float(corrections.mean())
-        variance = variance_of(corrections, missed.floor + false.floor) / m
-        variance += self.standard_error**2 + missed.of_population + false.of_population
-        half = float(stdtrit(m - 1, 0.5 + 0.5 * confidence)) * float(np.sqrt(variance))
-        return middle, middle - half, middle + half
+        corrections = beyond.astype(np.float64) - self.predicted
+        middle = self.probability + float(corrections @ self.ratio) / len(corrections)
+        low, high = (
+            middle + self._distance(corrections, self._doubts, self.standard_error, side)
+            for side in (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
+        )
+        if self.unseen:
+            # What the simulations could have missed.
+            missable = self.widest / len(corrections) * float(gammaincinv(self.unseen, 0.5 + 0.5 * confidence))
+            high = middle + math.hypot(high - middle, missable)
+        return middle, low, high
+
+    def _distance(self, corrections: Array, doubts: Sequence[Doubt], error: float, share: float) -> float:
+        """Distance from the sum of corrections, (m,), and an integral, to the quantile of this share of what it may be.
+
+        A gamma distribution with three moments. Towards the side where rare corrections lie, half of one more counts:
+        for equal ratios these are the ends of a rate by few events, exact below, and by Jeffreys' prior above.
+        """
+        variance, third, of_rows = self.moments(corrections)
+        floor, of_rows = sum(one.floor for one in doubts), max(of_rows, sum(one.of_rows for one in doubts))
+        m, towards = len(corrections), third * (share - 0.5) > 0.0
+        step = third / variance if towards else 0.0
+        second = with_floor(variance, floor, m) + 0.5 * step**2 + error**2 + of_rows
+        if not second > 0.0:
+            return 0.0
+        skewness = 2.0 * (third + 0.5 * step**3) / second**1.5
+        students = float(stdtrit(max(1, m - 1), share)) / float(ndtri(share))
+        return 0.5 * step + students * math.sqrt(second) * gamma_quantile(share, skewness)
 
     def _recall(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> tuple[float, float]:
         """The share of the failure probability that the classifier puts beyond the boundary, and its lower bound.
@@ -333,29 +352,39 @@ class Plan:
         the integral. Each errs a third as often as the lower bound may. Numerical failures are missed, or wrongly
         counted.
         """
-        quantile = float(stdtrit(len(beyond) - 1, 1.0 - (1.0 - confidence) / 3.0))
+        share = 1.0 - (1.0 - confidence) / 3.0
+
+        def mean(wrong: NDArray[np.bool_]) -> float:
+            return float(wrong @ self.ratio) / len(wrong)
 
         def upper(wrong: NDArray[np.bool_], doubt: Doubt) -> float:
-            corrections = wrong * self.ratio
-            variance = variance_of(corrections, doubt.floor) / len(wrong) + doubt.of_population
-            return float(corrections.mean()) + quantile * float(np.sqrt(variance))
+            return mean(wrong) + self._distance(wrong.astype(np.float64), [doubt], 0.0, share)
 
         predicted, (of_missed, of_false) = self.predicted, self._doubts
-        missed = float((answered & beyond & ~predicted) @ self.ratio) / len(beyond)
-        false = float((answered & ~beyond & predicted) @ self.ratio) / len(beyond)
+        missed, false = mean(answered & beyond & ~predicted), mean(answered & ~beyond & predicted)
         missed_high = upper(~predicted & (beyond | ~answered), of_missed) + REACH
         false_high = upper(predicted & ~(beyond & answered), of_false)
+        of_integral = float(stdtrit(len(beyond) - 1, share)) * self.standard_error
         hit = max(0.0, self.probability - false)
-        hit_low = max(0.0, self.probability - false_high - quantile * self.standard_error)
+        hit_low = max(0.0, self.probability - false_high - of_integral)
         if hit + missed <= 0.0:
             return math.nan, 0.0
         return hit / (hit + missed), hit_low / (hit_low + missed_high)
 
 
-def variance_of(corrections: Array, floor: float) -> float:
-    """Variance of one correction, with a floor that counts as `_PRIOR_WEIGHT` observations."""
-    m = len(corrections)
-    return float(m * corrections.var(ddof=1) + _PRIOR_WEIGHT * floor) / (m + _PRIOR_WEIGHT)
+def with_floor(variance: float, floor: float, m: int) -> float:
+    """A variance from m draws, nearer to a floor the fewer they are; the floor counts as `_PRIOR_WEIGHT` draws."""
+    return variance + _PRIOR_WEIGHT / (m + _PRIOR_WEIGHT) * max(0.0, floor - variance)
+
+
+def gamma_quantile(share: float, skewness: float) -> float:
+    """The quantile of the gamma distribution with the mean 0, the variance 1 and a skewness, which may be negative."""
+    if abs(skewness) < 1e-3:
+        return float(ndtri(share))
+    if skewness < 0.0:
+        return -gamma_quantile(1.0 - share, -skewness)
+    shape = 4.0 / skewness**2
+    return (float(gammaincinv(shape, share)) - shape) / math.sqrt(shape)
 
 
 def deviation_of_margins(latent: ByMargins, features: FeatureMap, designs: Array, margin: Array) -> float:
@@ -374,39 +403,17 @@ def deviation_of_margins(latent: ByMargins, features: FeatureMap, designs: Array
     return max(1.0, float(np.sqrt(np.mean(known**2)))) if len(known) else 1.0
 
 
-def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> OfBoundary:
-    """The share of a distribution for which a boundary is predicted to be crossed, which fresh simulations correct.
-
-    It counts predictions. `integral.integrate` gives the classifier's probability, the mean of its probabilities.
-    """
-    return _baselines(lambda X: standardised(X)[:, None], space).of(0)
-
-
-def _baselines(boundaries: Boundaries, space: DesignSpace | WeightedRows) -> Integral:
-    return integrate(lambda X: boundaries(X), space, accuracy=_ACCURACY, share=_is_beyond)
-
-
-def _is_beyond(z: Array) -> Array:
-    return (z > 0.0).astype(np.float64)
-
-
 def plan_estimate(
     standardised: Standardised,
     space: DesignSpace | WeightedRows,
-    of_classifier: OfBoundary,
     m: int,
     rng: np.random.Generator,
+    repeatable: bool = True,
+    sceptical: bool = False,
 ) -> Plan:
-    """Plan m fresh simulations that correct the baseline of a classifier.
-
-    Args:
-        standardised: the boundary.
-        space: the distribution.
-        of_classifier: the baseline.
-        m: number of simulations.
-        rng: draws them.
-    """
-    return _planned([lambda X: standardised(X)[:, None]], space, [[of_classifier]], m, rng)[0]
+    """Plan m fresh simulations that correct the baseline of one boundary (see `plan_estimates`)."""
+    only = [lambda X: standardised(X)[:, None]]
+    return plan_estimates(only, space, m, rng, repeatable=repeatable, sceptical=sceptical)[0]
 
 
 def plan_estimates(
@@ -415,66 +422,146 @@ def plan_estimates(
     m: int,
     rng: np.random.Generator,
     beside: Callable[[Array], Array] | None = None,
+    designs: Callable[[Array], Array] = lambda X: X,
+    first: int = 0,
+    repeatable: bool = True,
+    sceptical: bool = False,
 ) -> list[Plan]:
     """Plan m fresh simulations that correct the baselines of all b boundaries.
 
     Args:
         boundaries: as learned; followed by those if none, and all, of the runs that are probably lost are beyond, if
-            any is.
+            any is. Of values of the distribution's variables.
         space: the distribution.
-        m: number of simulations.
+        m: number of simulations; if there are no more different designs, all of them are simulated.
         rng: draws them.
         beside: a doubt that they are drawn for as much as for that of a boundary, (n, d) -> (n,).
+        designs: the designs of values of the distribution's variables. No design is simulated twice.
+        first: the boundary along which the draws are spread.
+        repeatable: whether equal designs have equal results. If not, designs are simulated again where there are fewer
+            than m, and none is known for certain.
+        sceptical: whether the classifier may be wrong where it is sure, with failures that are scattered, such as one
+            of outcomes that is asked about a distribution that it was not learned for.
     """
-    integrals = [_baselines(of, space) for of in boundaries]
-    shares = [[integral.of(column) for column in range(len(integral.probability))] for integral in integrals]
-    return _planned(boundaries, space, shares, m, rng, beside)
 
+    def in_doubt(X: Array) -> Array:
+        """Doubts, (k, n), one for each boundary and kind of boundaries."""
+        parts = np.concatenate([doubt(of(X).T / WIDER) for of in boundaries])
+        return parts if beside is None else np.concatenate([parts, beside(X)[None]])
 
-def _planned(
-    boundaries: Sequence[Boundaries],
-    space: DesignSpace | WeightedRows,
-    baselines: Sequence[Sequence[OfBoundary]],
-    m: int,
-    rng: np.random.Generator,
-    beside: Callable[[Array], Array] | None = None,
-) -> list[Plan]:
-    """A plan for each of b boundaries, with the same m designs; `baselines` are (1 or 3, b)."""
-    X, weight = population(space, RADIAL, None, rng)[1:]
-    z = np.array([of(X).T for of in boundaries])
-    # Rows are the distribution itself, and are drawn by their weights; a sample is drawn as it comes.
-    is_exact = isinstance(space, WeightedRows)
-    shares = weight / weight.sum() if is_exact else np.full(len(X), 1.0 / len(X))
-    parts = weight * doubt(z / WIDER).max(axis=0)
-    parts = parts if beside is None else np.concatenate([parts, (weight * beside(X))[None]])
+    rows = rows_of(space, lambda X: _alike(in_doubt(X)), designs, rng)
+    z = np.array([of(rows.X).T for of in boundaries])
+    parts = rows.share * in_doubt(rows.X)
+    rarity = 0.5 * float(np.mean([1.0 - _commonness(float(rows.share @ (one > 0.0)) / 10.0) for one in z[0]]))
+    chances = (1.0 - rarity) * rows.share / rows.share.sum() + rarity * rows.wide / rows.wide.sum()
     if len(parts := parts[parts.sum(axis=1) > 0.0]):
         # The same for each boundary, however likely its outcome is.
-        of_each = (1.0 - UNIFORM) / len(parts) * parts / parts.sum(axis=1, keepdims=True)
-        shares = of_each.sum(axis=0) + UNIFORM * shares
-    # A row without weight is never drawn.
-    ratio = np.divide(weight, len(X) * shares, out=np.zeros(len(X)), where=shares > 0.0)
+        uniform = _SCEPTICAL if sceptical else UNIFORM
+        chances = uniform * chances + (1.0 - uniform) * _alike(parts)
+    expected = expected_draws(chances, m, repeats=not repeatable)
+    drawn = systematic(expected, np.lexsort((rng.random(len(expected)), z[0, first])), rng)
+    m = len(drawn)
+    ratio = m * rows.share / expected
+    # Of what noise adds, nothing is certain.
+    chance = 1.0 - expected if repeatable else np.ones(len(expected))
+    widest = float(ratio[chance > 0.0].max(initial=0.0))
+    adds = chance * rows.share**2 / expected
+    seed = int(rng.integers(2**63))
 
     def doubts(z: Array, deviation: float) -> tuple[Doubt, Doubt]:
         side = ndtr(z / (WIDER * deviation))
-        in_doubt = np.minimum(side, 1.0 - side)
+        wrong = np.minimum(side, 1.0 - side)
 
-        def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
-            # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
-            population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(X) ** 2
-            return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
+        def doubt_of(part: NDArray[np.bool_]) -> Doubt:
+            return Doubt(float((adds * wrong)[part].sum()), float((rows.variance * wrong)[part].sum()))
 
         return doubt_of(z <= 0.0), doubt_of(z > 0.0)
 
-    rows = rng.choice(len(X), m, p=shares / shares.sum())
+    def planned(z: Array, share: OfBoundary) -> Plan:
+        return Plan(
+            designs=rows.X[drawn],
+            ratio=ratio[drawn],
+            chance=chance[drawn],
+            sampled=(rows.variance / expected)[drawn],
+            standardised=z[drawn],
+            probability=share.probability,
+            standard_error=share.error,
+            doubts=partial(doubts, z),
+            widest=widest,
+            unseen=_UNSEEN * _commonness(share.probability) if sceptical else 0.0,
+            of=plan_of,
+            drawn_from=(rows.X, adds),
+        )
 
-    def plan(z: Array, share: OfBoundary) -> Plan:
-        doubts_of = partial(doubts, z)
-        numbers = share.probability, share.error
-        return Plan(X[rows], ratio[rows], z[rows], *numbers, doubts_of, of=plan_of, drawn_from=(X, shares * ratio**2))
+    def baselines(boundaries: Boundaries, z: Array) -> list[OfBoundary]:
+        """Of all columns of boundaries with z, (b, n), at the rows."""
+        counted = (z > 0.0) @ rows.share
+        if isinstance(space, WeightedRows):
+            return [OfBoundary(float(one), 0.0, 0.0) for one in counted]
+        known = [
+            sum(one.floor * _PRIOR_WEIGHT / (m + _PRIOR_WEIGHT) + one.of_rows for one in doubts(of, 1.0)) for of in z
+        ]
+        accuracy = _INTEGRAL * np.sqrt(known) / np.maximum(counted, REACH)
+        points = np.random.default_rng(seed)
+        integral = baseline(boundaries, space, np.clip(accuracy, *_ACCURACIES), points)
+        return [integral.of(column) for column in range(len(z))]
 
-    def plan_of(boundary: Standardised, share: OfBoundary) -> Plan:
-        return plan(boundary(X), share)
+    def plan_of(boundary: Standardised) -> Plan:
+        of = boundary(rows.X)[None]
+        return planned(of[0], baselines(lambda X: boundary(X)[:, None], of)[0])
 
-    learned, *ends = ([plan(*one) for one in zip(*of, strict=True)] for of in zip(z, baselines, strict=True))
+    learned, *ends = (
+        [planned(*one) for one in zip(of, baselines(by, of), strict=True)] for by, of in zip(boundaries, z, strict=True)
+    )
     pairs = zip(*ends, strict=True) if ends else [None] * len(learned)
     return [replace(of, ends=pair) for of, pair in zip(learned, pairs, strict=True)]
+
+
+def rows_of(
+    space: DesignSpace | WeightedRows,
+    importance: Importance,
+    designs: Callable[[Array], Array],
+    rng: np.random.Generator,
+) -> Rows:
+    """The different designs of a distribution from which fresh simulations are drawn: weighted rows, or a population.
+
+    Args:
+        space: the distribution.
+        importance: of values of its variables, for a population.
+        designs: of values of its variables.
+        rng: draws the population.
+    """
+    drawn = population(space, ROWS, importance, rng)
+    share, wide = drawn.weight / len(drawn.weight), drawn.wide / len(drawn.weight)
+    is_exact = isinstance(space, WeightedRows)
+    return merged(Rows(drawn.X, share, wide, 0.0 * share if is_exact else share**2), designs(drawn.X))
+
+
+def baseline(boundaries: Boundaries, space: DesignSpace, accuracy: float | Array, rng: np.random.Generator) -> Integral:
+    """The shares of a distribution for which each of b boundaries is predicted to be crossed.
+
+    Fresh simulations correct them. They count predictions: `integral.integrate` gives the classifier's probabilities,
+    the means of its probabilities.
+
+    Args:
+        boundaries: of values of the distribution's variables.
+        space: the distribution.
+        accuracy: relative standard error that is small enough, () or (b,).
+        rng: draws the points.
+    """
+    return integrate(lambda X: boundaries(X), space, accuracy=accuracy, share=_is_beyond, rng=rng)
+
+
+def _is_beyond(z: Array) -> Array:
+    return (z > 0.0).astype(np.float64)
+
+
+def _commonness(probability: float) -> float:
+    """1, or less in proportion if an outcome of this probability is rare."""
+    return min(1.0, probability / _RARE)
+
+
+def _alike(parts: Array) -> Array:
+    """The sum of parts, (k, n), each of which sums to the same, 1 in all, (n,)."""
+    totals = parts.sum(axis=1, keepdims=True)
+    return np.asarray(np.divide(parts, totals * len(parts), out=np.zeros_like(parts), where=totals > 0.0).sum(axis=0))

@@ -1,8 +1,9 @@
 """The probability beyond each boundary under a distribution, by the classifier alone: the one integrator.
 
-Its points are always the same, so that one classifier gives one number wherever it is shown. Randomised Sobol'
-sequences integrate what is not rare. Populations that gather where the probability comes from integrate the rest, each
-around parents that an earlier one has found [CappeEtAl2004].
+Its points are always the same, so that one classifier gives one number wherever it is shown. Those of an estimate are
+drawn with it, because its interval includes their error. Randomised Sobol' sequences integrate what is not rare.
+Populations that gather where the probability comes from integrate the rest, each around parents that an earlier one has
+found [CappeEtAl2004].
 """
 
 from collections.abc import Callable
@@ -31,8 +32,14 @@ Boundaries = Callable[[Array], Array]
 ACCURACY = 0.02
 """Relative standard error that ends the integration."""
 
-SEQUENCES, _LENGTHS = 8, (128, 512)
-"""Randomised Sobol' sequences, and their lengths: the second if the first is not accurate."""
+SEQUENCES, _LENGTHS, _LONGER = 8, (128, 512), (2048, 8192)
+"""Randomised Sobol' sequences, and their lengths: the second if the first is not accurate; more for an estimate."""
+
+_STUDENTS = ((SEQUENCES - 1.0) / (SEQUENCES - 3.0)) ** 0.5
+"""Standard deviation of Student's t: the means of the sequences are few."""
+
+_LEAST_LENGTH_SHARE = 0.1
+"""Share of feasible designs below which a sequence, which is drawn until it has enough of them, is not longer."""
 
 _MOST_ROWS = 4096
 """Most weighted rows that are integrated; of more, a systematic sample is taken."""
@@ -170,10 +177,11 @@ def integrate(
     boundaries: Boundaries,
     space: DesignSpace | WeightedRows,
     resolution: float = 0.0,
-    accuracy: float = ACCURACY,
+    accuracy: float | Array = ACCURACY,
     designs: Callable[[Array], Array] = lambda X: X,
     contains: Contains | None = None,
     share: Share = ndtr,
+    rng: np.random.Generator | None = None,
 ) -> Integral:
     """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z), of designs that exist.
 
@@ -181,10 +189,11 @@ def integrate(
         boundaries: of designs.
         space: the distribution.
         resolution: standard error that is small enough, whatever the probability.
-        accuracy: relative standard error that is small enough.
+        accuracy: relative standard error that is small enough, () or (b,).
         designs: the designs of values of the distribution's variables.
         contains: whether the campaign's space contains designs; all if None.
         share: of a design with z that counts, Φ by default. Where it is searched for is decided by z itself.
+        rng: draws the points, of which there may be more; if None, they are always the same.
     """
     integral = _integrated(
         lambda X: boundaries(designs(X)),
@@ -193,6 +202,7 @@ def integrate(
         accuracy,
         None if contains is None else lambda X: contains(designs(X)),
         share,
+        rng,
     )
     if (exists := existence(boundaries)) is None:
         return integral
@@ -207,20 +217,24 @@ def _integrated(
     boundaries: Boundaries,
     space: DesignSpace | WeightedRows,
     resolution: float,
-    accuracy: float,
+    accuracy: float | Array,
     contains: Contains | None,
     share: Share = ndtr,
+    rng: np.random.Generator | None = None,
 ) -> Integral:
     if isinstance(space, WeightedRows):
         return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains, share)
-    X = sequences(space, _LENGTHS[-1]).reshape(SEQUENCES, _LENGTHS[-1], -1)
+    lengths = _LENGTHS if rng is None or space.feasible_share < _LEAST_LENGTH_SHARE else (*_LENGTHS, *_LONGER)
+    X = sequences(space, lengths[-1], rng).reshape(SEQUENCES, lengths[-1], -1)
     beyond, accurate, integral = np.empty((SEQUENCES, 0, 0)), np.zeros(1, dtype=bool), Integral(*np.zeros((3, 1)))
-    for length in _LENGTHS:
+    for length in lengths:
         # The beginning of a sequence is one too.
         new = X[:, beyond.shape[1] : length]
         of_new = share(boundaries(new.reshape(-1, new.shape[-1]))).reshape(*new.shape[:2], -1)
         beyond = np.concatenate([beyond, of_new], axis=1) if beyond.size else of_new
         found = _of_sequences(beyond, X[:, :length], contains)
+        if rng is not None:
+            found = found._replace(error=_STUDENTS * found.error)
         # What was accurate with fewer points keeps its number, whatever else is integrated beside it.
         integral = Integral(*(np.where(accurate, *pair) for pair in zip(integral, found, strict=True)))
         # Of a probability near 1, the rest is what is rare.
@@ -229,13 +243,18 @@ def _integrated(
         # A share that no point shows may be as large as three points.
         seen = (rarer * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
         accurate = accurate | ((integral.error <= limit) & seen)
-        if accurate.all():
+        # What the longest would hardly see is for populations.
+        if ((accurate | (rarer * SEQUENCES * lengths[-1] < _SEEN)).all() and length >= _LENGTHS[-1]) or accurate.all():
             break
     if resolution:
         accurate = np.ones_like(accurate)
+    accuracies = np.broadcast_to(accuracy, accurate.shape)
     for column in np.flatnonzero(~accurate):
         is_common = integral.probability[column] > 0.5
-        of_column = _by_populations(boundaries, int(column), space, contains, accuracy, share, is_common)
+        own = np.random.default_rng(0) if rng is None else rng
+        of_column = _by_populations(boundaries, int(column), space, contains, accuracies[column], share, is_common, own)
+        if rng is not None and seen[column] and integral.error[column] <= of_column[1]:
+            continue
         # Of a probability near 1, the sequences know where it comes from.
         for known, value in zip(integral[: 2 if is_common else 3], of_column, strict=False):
             known[column] = value
@@ -257,9 +276,9 @@ def _outside(parts: Array, X: Array, contains: Contains | None) -> Array:
     return np.asarray(np.divide(outside, total, out=np.zeros(len(total)), where=total > 0.0))
 
 
-def sequences(space: DesignSpace, length: int) -> Array:
-    """Randomised Sobol' sequences of a length, a power of two, one after the other; always the same."""
-    return np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(SEQUENCES)])
+def sequences(space: DesignSpace, length: int, rng: np.random.Generator | None = None) -> Array:
+    """Randomised Sobol' sequences of a length, a power of two, one after the other; without `rng` always the same."""
+    return np.concatenate([space.sobol(length, rng or np.random.default_rng(n)) for n in range(SEQUENCES)])
 
 
 def _of_sequences(beyond: Array, X: Array, contains: Contains | None) -> Integral:
@@ -278,6 +297,7 @@ def _by_populations(
     accuracy: float,
     share: Share,
     is_common: bool,
+    rng: np.random.Generator,
 ) -> tuple[float, float, float]:
     """One boundary's probability, its standard error, and the part from outside.
 
@@ -293,7 +313,6 @@ def _by_populations(
         counted = share(z)
         return counted if share is not ndtr and counted.any() else np.asarray(ndtr(z) + doubt(z))
 
-    rng = np.random.default_rng(0)
     parents = first_parents(space, _POPULATION, _PARENTS, lambda X: weighed(searched(X)), rng)
     means, variances, shares = [], [], []
     for _ in range(_ROUNDS):

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import LEAST
 from activefail.acquisition.population import Population, around, first_parents, next_parents, population
-from activefail.reliability.estimate import WIDER, Interval, ModeShare, Plan, variance_of
+from activefail.reliability.estimate import WIDER, Interval, ModeShare, Plan, with_floor
 from activefail.space import Array, DesignSpace
 from activefail.systems import System
 from activefail.weighted import WeightedRows
@@ -63,21 +63,21 @@ class FreshModes:
 
     Attributes:
         system: of the modes.
-        ratio: (m,) density of the distribution over that of the draws.
+        plan: of the draws.
         seen: the events of the draws; as predicted where a draw does not show them.
         predicted: their probabilities by the regressions; 0 without them.
         whole: those of the distribution, by each of some populations, first axis; none without regressions.
         doubted: probabilities of the events, in doubt, at designs that might have been drawn.
-        square: the mean square of `ratio` that each of these adds.
+        adds: what the square of the value of each of these designs adds to the variance of a mean.
     """
 
     system: System
-    ratio: Array
+    plan: Plan
     seen: Events
     predicted: Events
     whole: Events
     doubted: Events
-    square: Array
+    adds: Array
 
     def shares(self, confidence: float) -> tuple[ModeShare, ...]:
         """Of each mode, with intervals of this confidence; none if no failure is known."""
@@ -95,27 +95,28 @@ class FreshModes:
         whole = self.whole[event]
         return np.asarray(
             whole.sum(axis=0) / max(1, len(whole))
-            + self.ratio @ (self.seen[event] - self.predicted[event]) / len(self.ratio)
+            + self.plan.ratio @ (self.seen[event] - self.predicted[event]) / len(self.plan.ratio)
         )
 
     def _share(self, event: int, mode: int, of: float, confidence: float) -> Interval:
         """The share of the probability `of` where an event of a mode occurs, a ratio of two corrected estimates."""
         from scipy.stats import t
 
-        share, m = min(1.0, max(0.0, float(self._estimated(event)[mode]) / of)), len(self.ratio)
+        share, m = min(1.0, max(0.0, float(self._estimated(event)[mode]) / of)), len(self.plan.ratio)
 
         def linear(events: Events) -> Array:
             """Its mean is 0 if the share is right."""
             return np.asarray(events[event][:, mode] - share * events.system)
 
-        corrections = self.ratio * (linear(self.seen) - linear(self.predicted))
+        corrections = linear(self.seen) - linear(self.predicted)
         # (1 − s) with the event, −s in other failures.
         mean_square = self.doubted[event][:, mode] * (1.0 - 2.0 * share) + share**2 * self.doubted.system
-        doubt = self.square @ np.maximum(mean_square - linear(self.doubted) ** 2, 0.0)
-        variance = variance_of(corrections, float(doubt)) / m
+        doubt = float(self.adds @ np.maximum(mean_square - linear(self.doubted) ** 2, 0.0))
+        of_draws, _, of_rows = self.plan.moments(corrections)
+        variance = with_floor(of_draws, doubt, m) + of_rows
         if len(self.whole.system) > 1:
             variance += float(linear(self.whole).var(ddof=1)) / len(self.whole.system)
-        half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * math.sqrt(variance) / of
+        half = float(t.ppf(0.5 + 0.5 * confidence, max(1, m - 1))) * math.sqrt(variance) / of
         return share, max(0.0, share - half), min(1.0, share + half)
 
 
@@ -126,12 +127,12 @@ def doubt_of_modes(system: System, z: Array) -> Array:
     return np.asarray(np.sqrt(fails * np.maximum(q * (1.0 - q), 0.0).max(axis=1)))
 
 
-def counted_modes(system: System, ratio: Array, margins: Array) -> FreshModes:
+def counted_modes(system: System, plan: Plan, margins: Array) -> FreshModes:
     """What fresh simulations say of the modes, without regressions.
 
     Args:
         system: of the modes.
-        ratio: (m,) density of the distribution over that of the draws.
+        plan: of the draws.
         margins: (m, k) of the draws; NaN where one is not known.
     """
     seen = Events.of(system, np.where(np.isnan(margins), np.inf, margins))
@@ -139,7 +140,7 @@ def counted_modes(system: System, ratio: Array, margins: Array) -> FreshModes:
     # Of a share nothing is known before.
     likely = ((of.sum(axis=0) + 1.0) / (seen.system.sum() + 2.0) for of in seen[1:])
     doubted = Events(seen.system, *(seen.system[:, None] * share for share in likely))
-    return FreshModes(system, ratio, seen, nothing, nowhere, doubted, ratio**2 / len(ratio))
+    return FreshModes(system, plan, seen, nothing, nowhere, doubted, plan.chance * (plan.ratio / len(plan.ratio)) ** 2)
 
 
 def corrected_modes(
@@ -163,10 +164,10 @@ def corrected_modes(
     z = sides(plan.designs)
     seen = Events.of(system, np.where(np.isnan(margins), -z, margins))
     assert plan.drawn_from is not None
-    X, square = plan.drawn_from
+    X, adds = plan.drawn_from
     doubted = Events.expected(system, sides(X) / (WIDER * plan.deviation))
     predicted, whole = Events.expected(system, z), _integrated(system, sides, space, rng)
-    return FreshModes(system, plan.ratio, seen, predicted, whole, doubted, square)
+    return FreshModes(system, plan, seen, predicted, whole, doubted, adds)
 
 
 def _integrated(system: System, sides: Sides, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Events:

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from activefail.space import Array
 
+BOUND_CONFIDENCE = 0.9
+"""One-sided confidence of the bounds without a classifier."""
+
 
 @dataclass(frozen=True)
 class StratifiedCount:

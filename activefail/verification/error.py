@@ -155,12 +155,11 @@ def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
         expected: (5,) the classifier's mean probability of being wrong in each part.
         n: simulations in all.
     """
-    from activefail.reliability.strata import rounded  # it loads torch
 
     # At least 1 % wrong in every part: the classifier's own certainty must not exempt a part from the test.
     share = np.maximum(expected, 0.01)
     weights = volumes * np.sqrt(share * (1.0 - share))
-    return rounded(n * weights / weights.sum(), np.full(len(weights), n))
+    return _rounded(n * weights / weights.sum(), np.full(len(weights), n))
 
 
 def estimate_error(
@@ -269,3 +268,12 @@ def _judged(campaign: Campaign, plan: Verification, results: Results, confidence
     exists = ~is_impossible(campaign.simulator, results.outcome, results.cause)
     answered = results.outcome != NUMERICAL_FAILURE
     return estimate_error(plan, results.outcome >= campaign.severity, answered, confidence, exists)
+
+
+def _rounded(shares: Array, most: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Whole numbers near the shares, (s,), with the same sum, none above its greatest number, (s,)."""
+    total = round(float(shares.sum()))
+    counts = np.minimum(np.floor(shares).astype(np.int_), most)
+    while counts.sum() < total:
+        counts[np.argmax(np.where(counts < most, shares - counts, -np.inf))] += 1
+    return counts

@@ -1,6 +1,6 @@
 """Estimates the probability beyond a boundary from fresh simulations, and keeps them; thins large tables of pulses.
 
-`reliability.estimate` and `reliability.strata` compute the intervals.
+`reliability.estimate` computes the intervals.
 """
 
 import math
@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import gammaincinv, ndtr
 
 from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
@@ -20,13 +20,10 @@ from activefail.errors import SimulationError
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.reliability.estimate import (
-    AllRows,
+    Interval,
     Plan,
     ProbabilityEstimate,
-    baseline,
-    counted,
     deviation_of_margins,
-    plan_estimate,
     plan_estimates,
 )
 from activefail.reliability.hidden import ModeCheck
@@ -41,12 +38,12 @@ from activefail.reliability.integral import (
     integrate,
 )
 from activefail.reliability.modes import FreshModes, Sides, corrected_modes, counted_modes, doubt_of_modes
-from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.system import ByMargins, SystemLatent
+from activefail.verification.confidence_bounds import BOUND_CONFIDENCE
 from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
 from activefail.verification.stored_sets import (
     estimate_sizes,
@@ -64,8 +61,6 @@ _MOST_ROWS = 8192
 """Most weighted rows that a plan predicts; a systematic sample stands for more of them."""
 
 
-AnyPlan = Plan | StratifiedPlan | AllRows
-
 ResultsOf = Callable[[str, Array], Results | None]
 """The name and the designs of a stored set, (n, d) -> their results; None if they are not stored."""
 
@@ -78,26 +73,27 @@ class Existing:
         classifier: share of the distribution that exists by the classifier, with its standard error.
         probability: (m,) that each design exists, by the classifier.
         exists: (m,) whether it does.
-        ratio: (m,) density of the distribution over that of the draws.
+        plan: of the draws.
     """
 
     classifier: OfBoundary
     probability: Array
     exists: NDArray[np.bool_]
-    ratio: Array
+    plan: Plan
 
-    def share(self, confidence: float, is_complete: bool) -> tuple[float, float, float]:
-        """The share that exists and its interval, which is exact if the draws are all rows of the distribution."""
+    def share(self, confidence: float) -> Interval:
+        """The share that exists and its interval, which is exact if all rows of the distribution were simulated."""
         from scipy.stats import t
 
-        if is_complete:
-            exact = float(self.ratio @ self.exists / self.ratio.sum())
-            return exact, exact, exact
-        corrections, m = (self.exists - self.probability) * self.ratio, len(self.exists)
-        doubt = float((self.ratio**2 * self.probability * (1.0 - self.probability)).mean())
-        error = math.sqrt(max(float(corrections.var(ddof=1)), doubt) / m + self.classifier.error**2)
+        corrections, ratio, chance = self.exists - self.probability, self.plan.ratio, self.plan.chance
+        m = len(corrections)
+        middle = self.classifier.probability + float(corrections @ ratio) / m
+        doubt = float((chance * ratio**2 * self.probability * (1.0 - self.probability)).sum()) / m**2
+        error = math.sqrt(max(sum(self.plan.moments(corrections)[::2]), doubt) + self.classifier.error**2)
+        if not error > 0.0:
+            return middle, middle, middle
         half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * error
-        middle = min(1.0, max(1.0 / m, self.classifier.probability + float(corrections.mean())))
+        middle = min(1.0, max(1.0 / m, middle))
         return middle, max(0.5 / m, middle - half), min(1.0, middle + half)
 
 
@@ -109,7 +105,6 @@ class Sampled:
         plan: of the draws.
         beyond: (m,) whether each ended beyond the boundary.
         answered: (m,) whether each gave an outcome.
-        first: (s,) one draw of each simulation, if rows are drawn; None if every draw is simulated.
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
         check: of a question; None if none was made.
         exists: which designs exist; None if all do.
@@ -119,10 +114,9 @@ class Sampled:
         repeatable: whether equal designs have equal results; otherwise noise explains outcomes that are not improbable.
     """
 
-    plan: AnyPlan
+    plan: Plan
     beyond: NDArray[np.bool_]
     answered: NDArray[np.bool_]
-    first: NDArray[np.int_] | None = None
     error: float = 0.0
     check: ModeCheck | None = None
     exists: Existing | None = None
@@ -144,7 +138,7 @@ class Sampled:
         estimate = self._among_all(confidence)
         if self.exists is None:
             return estimate
-        middle, low, high = self.exists.share(confidence, isinstance(self.plan, AllRows))
+        middle, low, high = self.exists.share(confidence)
         return replace(
             estimate,
             probability=min(1.0, estimate.probability / middle),
@@ -152,6 +146,21 @@ class Sampled:
             high=min(1.0, estimate.high / low),
             exists=low,
         )
+
+    def _bound(self) -> float:
+        """Upper bound on the probability among all designs that needs no classifier, from the draws alone.
+
+        What was simulated for certain is known. Of the others, each hit counts with its ratio, and one more with the
+        largest that there is [FayFeuer1997].
+        """
+        plan, may_be = self.plan, self.beyond | ~self.answered
+        of_chance, m = plan.chance > 0.0, len(may_be)
+        known = float((may_be & ~of_chance) @ plan.ratio) / m
+        parts = np.append(plan.ratio[may_be & of_chance], plan.widest) / m
+        mean, variance = float(parts.sum()), float(parts @ parts)
+        if not mean > 0.0:
+            return min(1.0, known)
+        return min(1.0, known + variance / mean * float(gammaincinv(mean**2 / variance, BOUND_CONFIDENCE)))
 
     def _among_all(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks.
@@ -161,16 +170,10 @@ class Sampled:
         """
         from scipy.stats import t
 
-        plan, check, deviation = self.plan, self.check, 1.0
-        if isinstance(plan, Plan):
-            deviation = plan.deviation
-            plan = plan if check is None else plan.deviating(max(deviation, check.deviation))
+        plan, check = self.plan, self.check
+        plan = plan if check is None else plan.deviating(max(plan.deviation, check.deviation))
         estimate = plan.estimate(self.beyond, self.answered, confidence)
-        estimate = replace(estimate, deviation=deviation, check=check)
-        if self.first is not None:
-            rows = self.first
-            numbers = counted(plan.standardised[rows], self.beyond[rows], self.answered[rows])
-            estimate = replace(estimate, **numbers._asdict())
+        estimate = replace(estimate, deviation=self.plan.deviation, check=check, bound=self._bound())
         if not self.error:
             return estimate
         half = float(t.ppf(0.5 + 0.5 * confidence, BLOCKS - 1)) * self.error
@@ -216,8 +219,8 @@ class Estimator:
         integral = question.integral(self.boundaries, self.campaign.space)
         return integral.of(self.classifier.outcomes.index(outcome) - 1).probability
 
-    def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
-        """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
+    def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
+        """The fresh simulations that `sample` makes."""
         return self._planned(outcome, simulations, _thinned(question, simulations))[0]
 
     def sample(self, outcome: str, simulations: int, question: Question, checks: bool = False) -> Sampled:
@@ -225,8 +228,8 @@ class Estimator:
 
         Args:
             outcome: its name.
-            simulations: number of fresh simulations; at least 2. Of weighted rows, no row is simulated twice, and if
-                there are no more rows than that, all of them are, unless the simulator does not repeat.
+            simulations: number of fresh simulations; at least 2. No design is simulated twice; if there are no more
+                different ones, all are, and again only if the simulator does not repeat.
             question: the distribution of the variables.
             checks: whether to simulate the mode check too, if there is one.
 
@@ -269,20 +272,15 @@ class Estimator:
         """The sample with these results; None if there are none."""
         question, severity = _thinned(question, simulations), self.classifier.outcomes.index(outcome)
         rows, of_designs = question.space, boundary_of(self.classifier, self.campaign.features, outcome)
-        plans: Sequence[AnyPlan]
         repeatable = self.classifier.repeatable
-        if repeatable and isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X):
-            # Any other sample would be the same rows.
-            simulations, question = len(rows.X), question.drawn(0)
-            plans = [AllRows(rows.X, rows.weight, of_designs(question.designs(rows.X)))]
-        else:
-            plans = self._planned(outcome, simulations, question)
+        if repeatable and isinstance(rows, WeightedRows) and not rows.is_sample:
+            different = len(np.unique(question.designs(rows.X[rows.weight > 0.0]), axis=0))
+            if simulations >= different:
+                # Any other sample would be the same designs.
+                simulations, question = different, question.drawn(0)
+        plans = self._planned(outcome, simulations, question)
         X = question.designs(plans[0].designs)
-        first, draws = None, np.arange(len(X))
-        if repeatable and isinstance(rows, WeightedRows):
-            # No row is simulated twice.
-            X, first, draws = np.unique(X, axis=0, return_index=True, return_inverse=True)
-        kept = (self.iteration, simulations)
+        kept = (self.iteration, len(X))
         name = set_name(kind_of_estimate(question.digest), self._number(outcome, question), *kept)
         if (results := results_of(name, X)) is None:
             return None
@@ -294,34 +292,34 @@ class Estimator:
             plans = [self._with_ends(plan, classifier, question, place) for place, plan in enumerate(plans, severity)]
         exists, boundary = None, BoundariesOf(self.classifier, self.campaign.features).exists
         if boundary is not None:
-            share = integrate(boundary, rows, designs=question.designs).of(0)
-            exists = Existing(share, ndtr(boundary(X[draws]))[:, 0], ~impossible[draws], plans[0].ratio)
+            share = _share_of(boundary, question, self._stream("exists", question))
+            exists = Existing(share, ndtr(boundary(X))[:, 0], ~impossible, plans[0])
         error = error_of_rows(of_designs, question)
 
-        def sampled_of(number: int, plan: AnyPlan) -> Sampled:
+        def sampled_of(number: int, plan: Plan) -> Sampled:
             latent = self.classifier.latents[number - 1]
-            if isinstance(plan, Plan) and isinstance(latent, ByMargins):
+            if isinstance(latent, ByMargins):
                 margin = margin_of(self.campaign, self.classifier, number, results.outcome, results.margins)
                 plan = plan.deviating(deviation_of_margins(latent, self.campaign.features, X, margin))
-            return Sampled(plan, (results.outcome >= number)[draws], answered[draws], first, error, exists=exists)
+            return Sampled(plan, results.outcome >= number, answered, error, exists=exists)
 
         sampled, *severer = (sampled_of(number, plan) for number, plan in enumerate(plans, start=severity))
         lost = None if classifier.unknown is None else self._lost(classifier, outcome, question)
-        modes = None if self.campaign.system is None else self._modes(sampled, results, draws, question)
+        modes = None if self.campaign.system is None else self._modes(sampled, results, question)
         sampled = replace(sampled, severer=tuple(severer), lost=lost, modes=modes, repeatable=repeatable)
         if not (checks and is_checked(question, self.classifier.latent(outcome))):
             return sampled
         name = set_name("check", question.digest[:16], severity, *kept)
         return replace(sampled, check=self._check(sampled, X, outcome, question, name, results_of))
 
-    def _modes(self, sampled: Sampled, results: Results, draws: NDArray[np.int_], question: Question) -> FreshModes:
-        """What the simulations of a sample, (m,) of the draws, say of the modes of the campaign's system."""
+    def _modes(self, sampled: Sampled, results: Results, question: Question) -> FreshModes:
+        """What the m simulations of a sample say of the modes of the campaign's system."""
         latent, system, plan = self.classifier.latents[0], self.campaign.system, sampled.plan
         assert system is not None
-        margins = np.where(sampled.answered[:, None], results.margins[draws], np.nan)
-        if not (isinstance(plan, Plan) and isinstance(latent, SystemLatent)):
-            return counted_modes(system, plan.ratio, margins)
-        rng = stream(self.campaign.settings.seed, "modes", _DRAWS * self.iteration + question.draw)
+        margins = np.where(sampled.answered[:, None], results.margins, np.nan)
+        if not isinstance(latent, SystemLatent):
+            return counted_modes(system, plan, margins)
+        rng = self._stream("modes", question)
         return corrected_modes(system, plan, margins, self._sides(latent, question), question.space, rng)
 
     def _sides(self, latent: SystemLatent, question: Question) -> Sides:
@@ -337,10 +335,9 @@ class Estimator:
         F = self.campaign.features(np.concatenate([*known, X]))
         return replace(self.classifier, unknown=VariationalGP("matern52").learned(F, labels))
 
-    def _with_ends(self, plan: AnyPlan, classifier: Classifier, question: Question, severity: int) -> AnyPlan:
-        """The plan with ends for lost runs; strata and all rows need none, because each stands for its own share."""
-        if not isinstance(plan, Plan) or plan.of is None:
-            return plan
+    def _with_ends(self, plan: Plan, classifier: Classifier, question: Question, severity: int) -> Plan:
+        """The plan with ends for lost runs."""
+        assert plan.of is not None
         ends = []
         for lost in ("none", "all"):
             of = boundary_of(classifier, self.campaign.features, classifier.outcomes[severity], lost)
@@ -348,7 +345,7 @@ class Estimator:
             def boundary(X: Array, of: Standardised = of) -> Array:
                 return of(question.designs(X))
 
-            ends.append(plan.of(boundary, baseline(boundary, question.space)))
+            ends.append(plan.of(boundary))
         return replace(plan, ends=(ends[0], ends[1]))
 
     def _lost(self, classifier: Classifier, outcome: str, question: Question) -> tuple[float, float]:
@@ -367,7 +364,7 @@ class Estimator:
         learned = [batch.designs for batch in self.store.batches if batch.iteration <= self.iteration]
         # The estimate, unlike its interval, is the same for every confidence.
         probability = sampled.estimate(0.9).probability
-        rng = stream(self.campaign.settings.seed, "hidden", _DRAWS * self.iteration + question.draw)
+        rng = self._stream("hidden", question)
         known, exists = np.concatenate([*learned, X]), existence(self.boundaries)
         designs = places_of_check(self.campaign, question, known, probability, rng, exists)
         try:
@@ -390,43 +387,49 @@ class Estimator:
         """The number of an outcome in the name of its fresh simulations; that of the first one if all share them."""
         return 1 if self._is_shared(question) else self.classifier.outcomes.index(outcome)
 
-    def _planned(self, outcome: str, simulations: int, question: Question) -> Sequence[Plan | StratifiedPlan]:
-        """The fresh simulations that estimate a probability, and the same for more severe outcomes.
+    def _stream(self, use: str, question: Question) -> np.random.Generator:
+        """The random numbers of a use, for each draw of a question at this iteration."""
+        return stream(self.campaign.settings.seed, use, _DRAWS * self.iteration + question.draw)
 
-        If they are not shared, those of an outcome are drawn by importance where it is very rare, or learned from a
-        margin.
+    def _planned(self, outcome: str, simulations: int, question: Question) -> Sequence[Plan]:
+        """The fresh simulations that estimate a probability, and the same for more severe outcomes if they share them.
+
+        Shared ones are spread over the doubt of the most severe outcome, whichever is asked for.
         """
-        seed, rows = self.campaign.settings.seed, question.space
-        rng = stream(seed, "estimate", self.iteration)
-        if question.draw:
-            rng = stream(seed, "draw", _DRAWS * self.iteration + question.draw)
+        rng = self._stream("draw", question)
 
         def boundaries(lost: Lost) -> Boundaries:
             of_designs = BoundariesOf(self.classifier, self.campaign.features, lost)
             return lambda X: of_designs(question.designs(X))
 
         severity, learned = self.classifier.outcomes.index(outcome), boundaries("learned")
-        if self._is_shared(question):
-            ends = [] if self.classifier.unknown is None else [boundaries("none"), boundaries("all")]
-            latent = self.classifier.latents[0]
+        designs, repeatable = question.designs, self.classifier.repeatable
+        if not self._is_shared(question):
 
-            def of_modes(X: Array) -> Array:
-                assert isinstance(latent, SystemLatent)
-                return doubt_of_modes(latent.system, self._sides(latent, question)(X))
+            def only(X: Array) -> Array:
+                return learned(X)[:, severity - 1 : severity]
 
-            beside = of_modes if isinstance(latent, SystemLatent) else None
-            return plan_estimates([learned, *ends], rows, simulations, rng, beside)[severity - 1 :]
+            return plan_estimates([only], question.space, simulations, rng, None, designs, 0, repeatable, True)
+        ends = [] if self.classifier.unknown is None else [boundaries("none"), boundaries("all")]
+        latent = self.classifier.latents[0]
 
-        def standardised(X: Array) -> Array:
-            return learned(X)[:, severity - 1]
+        def of_modes(X: Array) -> Array:
+            assert isinstance(latent, SystemLatent)
+            return doubt_of_modes(latent.system, self._sides(latent, question)(X))
 
-        in_strata = not isinstance(self.classifier.latent(outcome), ByMargins)
-        if in_strata and (plan := plan_strata(standardised, rows, simulations, rng)) is not None:
-            return [plan]
-        share = baseline(standardised, rows)
-        if in_strata and (plan := plan_wide_strata(standardised, rows, share, simulations, rng)) is not None:
-            return [plan]
-        return [plan_estimate(standardised, rows, share, simulations, rng)]
+        beside = of_modes if isinstance(latent, SystemLatent) else None
+        every = [learned, *ends]
+        plans = plan_estimates(every, question.space, simulations, rng, beside, designs, -1, repeatable)
+        return plans[severity - 1 :]
+
+
+def _share_of(boundary: Boundaries, question: Question, rng: np.random.Generator) -> OfBoundary:
+    """The share of a question that a boundary is crossed in, by the classifier alone; of rows by all of them."""
+    rows = question.space
+    if isinstance(rows, WeightedRows):
+        beyond = ndtr(boundary(question.designs(rows.X)))[:, 0]
+        return OfBoundary(float(rows.weight @ beyond) / len(beyond), 0.0, 0.0)
+    return integrate(boundary, rows, designs=question.designs, rng=rng).of(0)
 
 
 def _thinned(question: Question, simulations: int) -> Question:

@@ -10,10 +10,12 @@ one of
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
     surface-<iteration>-<designs>       the same where the simulator does not repeat; random designs
-    probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability; the number
-                                        is 1 if they answer for all outcomes
-    question-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question
+    fresh-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability; the number is 1 if
+                                        they answer for all outcomes
+    asked-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question
     check-<digest>-<number of outcome>-<iteration>-<designs>  the mode check beside them
+
+Run folders of earlier versions may have sets `probability-…` and `question-…`, whose designs were drawn with repeats.
 """
 
 import re
@@ -37,9 +39,6 @@ if TYPE_CHECKING:
 _PART = 500
 """Designs in one part of a set."""
 
-_MOST_A_PART = 1000 * _PART
-"""Most designs that are drawn for one part: rows of a table that are drawn several times are simulated once."""
-
 VALIDATION = "validation"
 
 
@@ -50,7 +49,7 @@ def set_name(kind: str, *parts: object) -> str:
 
 def kind_of_estimate(question: str) -> str:
     """The kind of fresh simulations that estimate a probability, by the digest of the question; "" for the own one."""
-    return f"question-{question[:16]}" if question else "probability"
+    return f"asked-{question[:16]}" if question else "fresh"
 
 
 def is_stored(store: Store, name: str) -> bool:
@@ -70,7 +69,7 @@ def estimate_sizes(store: Store, severity: int, iteration: int, question: str = 
     """
     name = f"{kind_of_estimate(question)}-{severity}-{iteration}"
     parts = Counter(one.rpartition("-")[0] for one in store.set_names())
-    return [size for size in _numbers(store, rf"{name}-(\d+)") if size <= _MOST_A_PART * parts[f"{name}-{size}"]]
+    return [size for size in _numbers(store, rf"{name}-(\d+)") if size <= _PART * parts[f"{name}-{size}"]]
 
 
 def looks_before(store: Store, iteration: int) -> int:

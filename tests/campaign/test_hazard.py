@@ -22,7 +22,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.findings.status import read_status
-from activefail.reliability.estimate import AllRows
+from activefail.reliability.estimate import plan_estimate
 from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
@@ -643,7 +643,7 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
         assert sets(learned / "run") == stored
 
 
-def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_path: Path) -> None:
+def test_the_fresh_simulations_of_a_table_are_of_different_rows(learned: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     table = "".join(f"{T},{V}\n" for T, V in zip(rng.uniform(1, 6, 100), rng.uniform(0.3, 3, 100), strict=True))
     (tmp_path / "pulses.csv").write_text("T_p,PGV\n" + table)
@@ -652,9 +652,9 @@ def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_
     with package.open_run(learned / "run", code=learned, write=True) as run:
         found = run.probability(60, 0.99, question=path, fixed={"strength": 1.5})
         question = run.asked(path, {"strength": 1.5})
-        name = f"question-{question.digest[:16]}-1-{run.history.last_iteration}-60-0"
+        name = f"asked-{question.digest[:16]}-1-{run.history.last_iteration}-60-0"
         X, results = run.store.read_set(name)  # type: ignore[misc]
-    assert len(np.unique(X, axis=0)) == len(X) == found.estimate.simulations < 60
+    assert len(np.unique(X, axis=0)) == len(X) == found.estimate.simulations == 60
     assert found.estimate.beyond == int((results.outcome == 1).sum())
     assert isinstance(question.space, WeightedRows)
     true = float((question.space.column("PGV") > 1.5).mean())
@@ -684,11 +684,15 @@ def test_a_plan_for_many_rows_predicts_a_sample_of_them_and_reads_its_simulation
 
 
 def test_the_interval_of_all_rows_is_that_of_the_numerical_failures() -> None:
-    weight, z = np.array([2.0, 1.0, 0.5, 0.5]), np.array([1.0, -1.0, -1.0, 5.0])
-    plan = AllRows(np.zeros((4, 1)), weight, z)
-    beyond, answered = np.array([True, True, False, False]), np.array([True, True, False, True])
-    found = Sampled(plan, beyond, answered, np.arange(4)).estimate(0.9)
+    # The fifth row has no weight, so it is none.
+    z = np.array([1.0, -1.0, -1.0, 5.0, 3.0])
+    rows = WeightedRows(("row",), np.arange(5.0)[:, None], np.array([2.0, 1.0, 0.5, 0.5, 0.0]))
+    plan = plan_estimate(lambda X: z[X[:, 0].astype(int)], rows, 9, np.random.default_rng(0))
+    row = plan.designs[:, 0].astype(int)
+    beyond, answered = np.array([True, True, False, False])[row], np.array([True, True, False, True])[row]
+    found = Sampled(plan, beyond, answered).estimate(0.9)
     assert (found.low, found.probability, found.high) == pytest.approx((0.75, 0.75, 0.875))
+    assert found.bound == pytest.approx(0.875)
     assert (found.simulations, found.unanswered, found.beyond, found.contradictions, found.surprising) == (
         4,
         1,

@@ -54,7 +54,8 @@ def test_predictions_are_counted_on_an_island_that_no_prediction_leads_to() -> N
         return (0.5 - np.sqrt((X[:, 0] - 4.3) ** 2 + X[:, 1] ** 2 + X[:, 2] ** 2)) / 0.01
 
     true = float(ncx2.cdf(0.25, 3, 4.3**2))
-    assert baseline(island, normals(5)).probability == pytest.approx(true, rel=0.15)
+    found = baseline(lambda X: island(X)[:, None], normals(5), 0.02, np.random.default_rng(0))
+    assert found.of(0).probability == pytest.approx(true, rel=0.15)
 
 
 def test_two_far_regions_are_both_found() -> None:

@@ -8,7 +8,7 @@ from activefail.acquisition.population import population
 from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.reliability import modes
-from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
+from activefail.reliability.estimate import deviation_of_margins, plan_estimate
 from activefail.reliability.integral import boundary_of
 from activefail.reliability.modes import Events, corrected_modes, counted_modes
 from activefail.space import DesignSpace
@@ -39,7 +39,7 @@ def fresh(learned: int, m: int, seed: int):
     X = np.clip(2.0 * SPACE.latin_hypercube(learned, np.random.default_rng(seed)), -6.4, 6.4)
     latent, rng = fit_system(FEATURES(X), margins(X), SYSTEM), np.random.default_rng([seed, 1])
     standardised = boundary_of(Classifier(("safe", "failure"), FEATURES, (latent,)), FEATURES, "failure")
-    plan = plan_estimate(standardised, SPACE, baseline(standardised, SPACE), m, rng)
+    plan = plan_estimate(standardised, SPACE, m, rng)
     of = margins(plan.designs)
     plan = plan.deviating(deviation_of_margins(latent, FEATURES, plan.designs, of))
     return plan, of, corrected_modes(SYSTEM, plan, of, lambda X: latent.sides(FEATURES(X)), SPACE, rng)
@@ -70,14 +70,15 @@ def test_the_shares_are_those_of_the_system(truth, monkeypatch) -> None:
 def test_shares_that_are_counted_have_wider_intervals(truth, monkeypatch) -> None:
     monkeypatch.setattr(modes, "_ROUNDS", 4)
     plan, of, corrected = fresh(25, 200, 1)
-    of_counts, of_regressions = (numbers(one.shares(0.9)) for one in (counted_modes(SYSTEM, plan.ratio, of), corrected))
+    of_counts, of_regressions = (numbers(one.shares(0.9)) for one in (counted_modes(SYSTEM, plan, of), corrected))
     assert (of_counts[..., 1] <= truth).all()
     assert (truth <= of_counts[..., 2]).all()
     assert (np.diff(of_counts[..., 1:]) > np.diff(of_regressions[..., 1:])).all()
 
 
 def test_without_a_failure_there_are_no_shares() -> None:
-    assert counted_modes(SYSTEM, np.ones(10), np.ones((10, 3))).shares(0.9) == ()
+    plan = plan_estimate(lambda X: X[:, 0] - 3.0, SPACE, 10, np.random.default_rng(0))
+    assert counted_modes(SYSTEM, plan, np.ones((10, 3))).shares(0.9) == ()
 
 
 @pytest.mark.exhaustive

@@ -13,7 +13,6 @@ from scipy.special import ndtr, ndtri
 from activefail.campaign.question import Question
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import ProbabilityEstimate, plan_estimate
-from activefail.reliability.integral import OfBoundary
 from activefail.risk.fragility.band import (
     NOT_VERIFIED,
     VerifiedLevel,
@@ -185,9 +184,8 @@ def test_an_interval_includes_the_error_of_the_sequences() -> None:
 
     question = as_rows(Question.of_space(space).at({"x": 0.5}))
     assert isinstance(question.space, WeightedRows)
-    of_classifier = OfBoundary(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0, 0.0)
     rng = np.random.default_rng(0)
-    plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, of_classifier, 30, rng)
+    plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, 30, rng)
     right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error=error_of_rows(disc, question)).estimate(0.95)
     assert right.low < math.pi / 4.0 < right.high
     assert 0.002 < right.high - right.low < 0.02

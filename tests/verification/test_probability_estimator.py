@@ -48,4 +48,4 @@ def test_the_same_fresh_simulations_answer_for_all_outcomes_and_no_worse_one_is_
             assert failure.low <= impact.low
             assert failure.high <= impact.high
             assert estimator.stored("impact", asked, 0.9) == impact
-    assert set(store.set_names()) == {"probability-1-0-40-0"}
+    assert set(store.set_names()) == {"fresh-1-0-40-0"}

@@ -33,20 +33,19 @@ MOST_COMBINATIONS, MOST_SEARCHED = 5000, 100
 """Most combinations of the values of free variables that are compared, and of choices beside a continuous variable,
 each of which is a search."""
 
-SIMULATIONS = 1000
-"""Maximum number of fresh simulations for each target, by default."""
+SIMULATIONS, LEAST_SIMULATIONS = 1000, 10
+"""Maximum number of fresh simulations for each target, by default, and least number of a look."""
 
 
-class LookPlan(NamedTuple):
-    """The shares of one look of the verification."""
+LOOKS = 5
+"""Most looks of the verification."""
 
-    simulations: float  # of all simulations
-    error: float  # of the probability of a false result
+SIZES = (100, 200, 400, 1000)
+"""Fresh simulations of a look, for each target. Fewer seldom meet a failure that is hidden from the classifier
+(docs/decisions/0019)."""
 
-
-LOOKS = (LookPlan(0.4, 0.8), LookPlan(0.6, 0.2))
-"""The looks. The first one settles most designs. The second one is seldom needed, has a higher confidence, and so needs
-more simulations (docs/decisions/0019)."""
+_SPENT = 0.8
+"""Share of what is left of the probability of a false result that each look spends (docs/decisions/0019)."""
 
 _POINTS_BEYOND = 25
 """Points of an integral that a probability at its target puts beyond the boundary."""
@@ -166,14 +165,27 @@ class DesignTask:
         least = min(requirement.target for requirement in self.requirements)
         return max(POINTS, 1 << math.ceil(math.log2(_POINTS_BEYOND / least)))
 
-    def simulations_of(self, look: int) -> int:
-        """Fresh simulations of a look, from 0 on, for each requirement."""
-        return max(2, round(self.simulations * LOOKS[look].simulations))
+    def sizes(self, made: int, last: int = 0) -> list[int]:
+        """What a look may ask for, in fresh simulations of each requirement.
+
+        More than the last one, and at most half the rest; or else all the rest; nothing if that is too small.
+
+        Args:
+            made: by all former looks.
+            last: by the last one.
+        """
+        left = self.simulations - made
+        sizes = [size for size in SIZES if last < size <= left / 2]
+        return sizes or ([left] if left >= LEAST_SIMULATIONS else [])
 
 
 def confidence_of_bound(confidence: float, look: int) -> float:
-    """Confidence of the upper bound of a look, from 0 on, for a result of this confidence."""
-    return 1.0 - (1.0 - confidence) * LOOKS[look].error
+    """Confidence of each bound of a look, from 0 on, for a result of this confidence.
+
+    A look spends 0.8 of the error α that the former ones left, 0.8 · 0.2ᵏ α. The sum over any number of looks is below
+    α, and so is the probability that any of their bounds fails (Bonferroni), whatever made the search look again.
+    """
+    return 1.0 - (1.0 - confidence) * _SPENT * (1.0 - _SPENT) ** look
 
 
 def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Requirement, ...]:

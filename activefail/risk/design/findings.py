@@ -13,7 +13,7 @@ from activefail.campaign.question import Outside, Question
 from activefail.findings.lines import titled
 from activefail.json_text import json_values
 from activefail.progress import Stage
-from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS, confidence_of_bound
+from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.search import WORTH, Designed, costs_of
 from activefail.shares import bounds_percent, percent, short, values_in_words
@@ -164,11 +164,10 @@ class DesignFindings:
                 f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design "
                 "space, where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
             )
-        errors = [1.0 - confidence_of_bound(task.confidence, look) for look in range(len(LOOKS))]
         sentences.append(
             "Free variables stay within the campaign's ranges. A look is a round of verification. A result is wrong "
-            f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: "
-            f"{' and '.join(f'{100.0 * error:.3g} %' for error in errors)}."
+            f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: each one "
+            "spends four fifths of what is left."
         )
         kind = "small" if task.cost_text == task.free[0] else "cheap"
         candidate = self.designed.result.candidate
@@ -272,7 +271,7 @@ class DesignFindings:
         for look in designed.looks:
             if task.cost(look.candidate.values) < cost:
                 return f"A {kind} one, {self.in_words(look.candidate.values)}, was looked at and not verified.{more}"
-        if len(designed.looks) < len(LOOKS):
+        if len(designed.looks) < LOOKS and task.sizes(sum(look.size for look in designed.looks)):
             return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %.{more}"
         return f"No look is left for a {kind} one.{more}"
 
@@ -377,7 +376,7 @@ class DesignFindings:
             bounds = bounds_percent(estimate.low, estimate.high)
             text = (
                 f"{event} = {percent(estimate.probability, 2)}, {bounds}, each bound with "
-                f"{100.0 * result.of_bound:.3g} % confidence, so that both looks together have "
+                f"{100.0 * result.of_bound:.3g} % confidence, so that all looks together have "
                 f"{100.0 * task.confidence:g} %; target {100.0 * one.target:.4g} %; classifier "
                 f"{percent(model, 2)}"
             )
@@ -395,7 +394,7 @@ class DesignFindings:
         failures = f", {failed} are numerical failures" if failed else ""
         text = (
             f"{designed.simulations} fresh simulations, contradictions: {contradicted}{failures}; "
-            f"{len(designed.looks)} of at most {len(LOOKS)} looks"
+            f"{len(designed.looks)} of at most {LOOKS} looks"
         )
         rows.append(("from", text))
         if task.cost_text != first:

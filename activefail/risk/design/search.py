@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
 from activefail.progress import Stage, silent
@@ -39,7 +40,7 @@ _FINE = 2e-4
 _CONFIDENCES = (0.8, 0.9, 0.95, 0.99)
 """Confidences at which a result states the value of the first free variable."""
 
-_IMAGINED = len(LOOKS) + 1
+_IMAGINED = LOOKS + 1
 """Number of the sample of pulses that predicts the width of an interval and is not simulated."""
 
 _LEAST = 1e-12
@@ -49,8 +50,9 @@ _HALVES, _OFF, _LEAST_AIM = 1.3, 0.025, 0.2
 """Distance of an aim from its target: half widths of the interval, which are wider where the classifier errs more than
 it expects, and a share of the target, for the classifier's own error; and least aim over its target."""
 
-WORTH = 0.05
-"""Least share of the cost that a smaller design must promise to save for a further look."""
+WORTH, _ROOM = 0.05, 0.02
+"""Least share of the cost that a smaller design must promise to save for a further look; and share of the cost that all
+simulations that are left must save for more of them than a look of fewer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,7 @@ class Look:
     candidate: Candidate
     sampled: tuple[Sampled, ...]  # (r,) of each requirement
     of_bound: float  # confidence of each bound of the intervals
+    size: int = 0  # fresh simulations that it asked for, of each requirement
 
     @cached_property
     def estimates(self) -> tuple[ProbabilityEstimate, ...]:
@@ -96,9 +99,9 @@ class Look:
         """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
         return sum(estimate.surprising for estimate in self.estimates)
 
-    def exceeds(self, targets: Array) -> bool:
-        """Whether even a lower bound exceeds its target, (r,)."""
-        return any(one.low > target for one, target in zip(self.estimates, targets.tolist(), strict=True))
+    def above(self, targets: Array) -> NDArray[np.bool_]:
+        """Whether even the lower bounds exceed their targets, (r,) each."""
+        return np.array([estimate.low for estimate in self.estimates]) > targets
 
 
 def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float]) -> bool:
@@ -171,7 +174,7 @@ class Designed:
     @property
     def is_above(self) -> bool:
         """Whether even the lower bound of the result exceeds a target."""
-        return self.result.exceeds(self.task.targets)
+        return bool(self.result.above(self.task.targets).any())
 
 
 def _sides(task: DesignTask, values: Mapping[str, float]) -> dict[str, str]:
@@ -215,43 +218,68 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
 
     The classifier proposes a design whose probabilities lie below the targets, by as much as the verification needs.
     Fresh simulations verify it, or not, and correct the classifier for the next proposal, which may be larger or
-    smaller and is looked at with fresh simulations of its own: those that chose a design never verify it. The looks
-    share the probability of a false result. The search ends when they are spent, or when a design is verified and the
-    next proposal would be cheaper by less than `WORTH`. The cheapest verified design is the result.
+    smaller and is looked at with fresh simulations of its own: those that chose a design never verify it. A look asks
+    for as few as would hardly make its design dearer than many would. The looks share the probability of a false
+    result. The search ends when looks or simulations are spent, or when a design is verified and the next proposal
+    would be cheaper by less than `WORTH`. The cheapest verified design is the result.
 
     If no design meets the targets by the classifier, and the nearest one exceeds them by simulations, the safest end of
     the ranges is looked at, because the classifier may be wrong there.
     """
     model = _model_of(estimator, task)
     looks: list[Look] = []
+    refuted: list[Look] = []
     verified: list[tuple[float, int]] = []
 
-    def half_widths(number: int) -> Array:
-        """Expected half widths of the intervals of a look, (r,)."""
-        confidence = 2.0 * confidence_of_bound(task.confidence, number) - 1.0
-        simulations = task.simulations_of(number)
+    def half_widths(size: int) -> Array:
+        """Expected half widths of the intervals of the next look with so many simulations, (r,)."""
+        confidence = 2.0 * confidence_of_bound(task.confidence, len(looks)) - 1.0
         if looks:
             # What the last look showed; the classifier would only say how unsure it is.
-            ratio = math.sqrt(task.simulations_of(number - 1) / simulations)
+            ratio = math.sqrt(looks[-1].size / size)
             estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
         question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
-        plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
+        plans = [estimator.plan(one.outcome, size, question) for one in task.requirements]
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
+
+    def aims_of(size: int) -> Array:
+        """The classifier's probabilities, (r,), below which such a look is expected to verify a design."""
+        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(size), _LEAST_AIM * task.targets)
+        if not looks:
+            return aims
+        found = np.array([estimate.probability for estimate in looks[-1].estimates])
+        aims = _corrected(aims, looks[-1].candidate.model, found)
+        for look in refuted:
+            # Whatever the last look corrects, a design that is no safer by the classifier is not proposed again.
+            safer = np.minimum(aims, (1.0 - _OFF) * look.candidate.model)
+            aims = np.where(look.above(task.targets), safer, aims)
+        return aims
+
+    def needed(sizes: list[int]) -> int:
+        """The fewest simulations whose design is hardly dearer than that of the most, by the classifier.
+
+        If it knows no design, the fewest of all, which may show that it is wrong.
+        """
+        best = cheapest(task, model, aims_of(sizes[-1]))
+        if not best.is_feasible:
+            return sizes[0]
+        most = task.cost(best.values) + _ROOM * abs(task.cost(best.values))
+        held = {} if task.choices else {name: best.values[name] for name in task.free[1:]}
+        lines = ((size, cheapest(task, model, aims_of(size), held)) for size in sizes)
+        return next((size for size, one in lines if one.is_feasible and task.cost(one.values) <= most), sizes[-1])
 
     def exact(candidate: Candidate) -> Array:
         """The classifier's probabilities, (r,), as every other place shows them."""
         question = task.question.at(candidate.values)
         return np.array([estimator.probability(one.outcome, question) for one in task.requirements])
 
-    for number in range(len(LOOKS)):
-        stage(f"searching for the design of look {number + 1}")
-        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(number), _LEAST_AIM * task.targets)
-        if looks:
-            found = np.array([estimate.probability for estimate in looks[-1].estimates])
-            aims = _corrected(aims, looks[-1].candidate.model, found)
+    while len(looks) < LOOKS and (sizes := task.sizes(sum(one.size for one in looks), looks[-1].size if looks else 0)):
+        stage(f"searching for the design of look {len(looks) + 1}")
+        simulations = needed(sizes)
+        aims = aims_of(simulations)
         candidate = cheapest(task, model, aims)
-        if looks and looks[-1].exceeds(task.targets) and not (candidate.is_feasible or looks[-1].candidate.is_feasible):
+        if not (candidate.is_feasible or task.choices or all(look.candidate.is_feasible for look in refuted)):
             candidate = _safest_end(task, model, aims)
         if candidate.is_feasible:
             # The search's integrals have few points; how far off they are hardly depends on the design.
@@ -261,22 +289,23 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             least = min(verified)[0]
             if not candidate.is_feasible or least - task.cost(candidate.values) <= WORTH * abs(least):
                 break
-        question, simulations = task.question.at(candidate.values), task.simulations_of(number)
         candidate = replace(candidate, model=exact(candidate))
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        draw = question.drawn(number + 1)
+        draw = task.question.at(candidate.values).drawn(len(looks) + 1)
         sampled = tuple(estimator.sample(one.outcome, simulations, draw) for one in task.requirements)
-        look = Look(candidate, sampled, confidence_of_bound(task.confidence, number))
+        look = Look(candidate, sampled, confidence_of_bound(task.confidence, len(looks)), simulations)
         looks.append(look)
+        if look.above(task.targets).any():
+            refuted.append(look)
         if verifies(look.estimates, task.targets.tolist()):
-            verified.append((task.cost(candidate.values), number + 1))
+            verified.append((task.cost(candidate.values), len(looks)))
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
         if look.surprising:
             break
         # Of the nearest design even a lower bound exceeds a target: only the end of the ranges may still help.
-        if not candidate.is_feasible and look.exceeds(task.targets):
+        if not candidate.is_feasible and look in refuted:
             if len(_sides(task, candidate.values)) == len(task.free):
-                return Designed(task, tuple(looks), number + 1, "out of reach")
+                return Designed(task, tuple(looks), len(looks), "out of reach")
             if task.choices:
                 break
     if verified:

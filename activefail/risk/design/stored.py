@@ -55,7 +55,7 @@ def _entries(store: Store) -> list[dict[str, Any]]:
         {"outcome": str, "target": Real, "free": dict, "look": int, "confidence": Real},
     )
     entries = [one for one in kept if fits(one, shape)] if isinstance(kept, list) else []
-    known = [one for one in entries if 0 < one["look"] <= len(LOOKS)]
+    known = [one for one in entries if 0 < one["look"] <= LOOKS]
     return [one for one in known if all(fits(value, Real) for value in one["free"].values())]
 
 

@@ -1,4 +1,4 @@
-"""Strata of the classifier's doubt: an interval that covers, also with a classifier that is far too sure."""
+"""A sceptical plan: an interval that covers, also with a classifier that is far too sure."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import baseline, plan_estimate
-from activefail.reliability.integral import OfBoundary
-from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
+from activefail.reliability.estimate import Plan, plan_estimate
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -26,13 +24,11 @@ def latent(sd: float):
     return lambda X: (X[:, 0] - LIMIT) / sd
 
 
-def plan_of(sd: float, m: int, seed: int, space: DesignSpace | WeightedRows = SPACE) -> StratifiedPlan:
-    plan = plan_strata(latent(sd), space, m, np.random.default_rng(seed))
-    assert plan is not None
-    return plan
+def plan_of(sd: float, m: int, seed: int, space: DesignSpace | WeightedRows = SPACE) -> Plan:
+    return plan_estimate(latent(sd), space, m, np.random.default_rng(seed), sceptical=True)
 
 
-def all_answered(plan: StratifiedPlan) -> NDArray[np.bool_]:
+def all_answered(plan: Plan) -> NDArray[np.bool_]:
     return np.ones(len(plan.designs), dtype=bool)
 
 
@@ -59,7 +55,6 @@ def test_intervals_cover_and_the_estimate_has_no_bias(m: int, sure: str, hit: fl
         plan = plan_of(SURE[sure], m, seed)
         estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
         assert estimate.low <= estimate.probability <= estimate.high
-        assert estimate.method == "strata of the classifier's doubt"
         covered += estimate.low <= TRUE <= estimate.high
         middles.append(estimate.probability)
         recalls += estimate.recall_low <= hit / TRUE
@@ -84,25 +79,23 @@ def test_a_classifier_that_is_wrong_where_it_predicts_failure_does_not_raise_the
     P, above = float(norm.sf(2.0)), []
     for seed in range(100):
         # It puts half of the distribution beyond the boundary, in doubt nearly everywhere.
-        plan = plan_strata(lambda X: X[:, 0] / 2.0, SPACE, 50, np.random.default_rng(seed))
-        assert plan is not None
+        plan = plan_estimate(lambda X: X[:, 0] / 2.0, SPACE, 50, np.random.default_rng(seed), sceptical=True)
         above.append(plan.estimate(plan.designs[:, 0] > 2.0, all_answered(plan), 0.9).low > P)
     assert np.mean(above) <= 0.12
 
 
-def test_a_part_of_the_simulations_is_shared_out_by_volume() -> None:
+def test_half_of_the_simulations_are_drawn_by_the_distribution_alone() -> None:
     plan = plan_of(0.01, 200, 0)
-    count, volume = plan.surest
-    assert volume > 0.8
-    assert count >= np.floor(0.5 * 200 * volume)
-    assert len(plan.designs) == 200
-    assert plan.volume.sum() == pytest.approx(1.0)
+    sure = plan.standardised < -10.0
+    share = float(norm.cdf(LIMIT - 0.1))
+    assert sure.sum() == pytest.approx(0.5 * 200 * share, abs=3.0)
+    assert plan.surest == (pytest.approx(200, abs=5), pytest.approx(2.0, rel=0.05))
     assert plan.probability == pytest.approx(norm.sf(LIMIT), rel=0.02)
 
 
-def test_no_design_of_a_space_is_drawn_twice_even_if_a_stratum_is_small() -> None:
+def test_no_design_of_a_space_is_drawn_twice_even_if_few_are_in_doubt() -> None:
     plan = plan_of(0.0005, 900, 0)
-    assert len(np.unique(plan.designs, axis=0)) == 900
+    assert len(np.unique(plan.designs, axis=0)) == len(plan.designs) == 900
 
 
 def test_what_gave_no_outcome_widens_the_interval_to_both_sides() -> None:
@@ -137,6 +130,7 @@ def test_weighted_rows_are_drawn_by_their_weights() -> None:
     for seed in range(60):
         plan = plan_of(0.12, 100, seed, rows)
         assert plan.standard_error == 0.0
+        assert len(np.unique(plan.designs, axis=0)) == 100
         estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
         covered += estimate.low <= true <= estimate.high
         middles.append(estimate.probability)
@@ -144,19 +138,12 @@ def test_weighted_rows_are_drawn_by_their_weights() -> None:
     assert np.mean(middles) == pytest.approx(true, abs=3.5 * np.std(middles) / np.sqrt(60.0))
 
 
-def test_an_outcome_that_is_rare_for_the_classifier_has_no_strata() -> None:
-    rng = np.random.default_rng(0)
-    assert plan_strata(lambda X: X[:, 0] - 4.0, SPACE, 100, rng) is None
-    rows = WeightedRows(("u",), np.linspace(0.0, 1.0, 1000)[:, None], np.ones(1000))
-    assert plan_strata(lambda X: X[:, 0] - 0.995, rows, 100, rng) is None
-
-
 def rare_latent(probability: float):
     return lambda X: (X[:, 0] - norm.isf(probability)) / 0.05
 
 
 @pytest.mark.parametrize("probability", some([0.009, 0.003], 0.003))
-def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_importance_sampling_misses_it(
+def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_a_trusting_plan_misses_it(
     probability: float,
 ) -> None:
     of, limit = rare_latent(probability), norm.isf(probability)
@@ -168,54 +155,24 @@ def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_importance_s
 
     true = float(with_islands(SPACE.from_unit(np.random.default_rng(0).random((1_000_000, 2)))).mean())
     assert 1.1 * probability < true < 1.4 * probability
-    integral = baseline(of, SPACE)
-    held = {"strata": 0, "importance": 0}
+    held = {True: 0, False: 0}
     for seed in range(25):
-        for name, plans in (("strata", plan_wide_strata), ("importance", plan_estimate)):
-            plan = plans(of, SPACE, integral, 250, np.random.default_rng(seed))
+        for sceptical in held:
+            plan = plan_estimate(of, SPACE, 250, np.random.default_rng(seed), sceptical=sceptical)
             found = plan.estimate(with_islands(plan.designs), all_answered(plan), 0.9)
-            held[name] += found.high >= true
-            assert found.low <= true
-    assert held["strata"] >= 22
-    assert held["importance"] <= 12
+            held[sceptical] += found.high >= true
+    assert held[True] >= 22
+    assert held[False] <= 12
 
 
-def test_a_rare_outcome_has_the_probability_of_its_integral_and_no_wider_interval_than_at_the_switch() -> None:
+def test_the_rarer_an_outcome_the_less_its_interval_allows_for_unseen_failures() -> None:
     over = []
-    for probability in (0.011, 0.009, 0.002):
-        of, rng = rare_latent(probability), np.random.default_rng(3)
-        plan = plan_strata(of, SPACE, 300, rng)
-        assert (plan is None) == (probability < 0.01)
-        if plan is None:
-            integral = baseline(of, SPACE)
-            plan = plan_wide_strata(of, SPACE, integral, 300, rng)
-            assert plan is not None
-            assert plan.volume.sum() == pytest.approx(1.0)
-            assert plan.probability == pytest.approx(integral.probability, rel=1e-9)
-        beyond = plan.standardised > 0.0
-        over.append(plan.estimate(beyond, all_answered(plan), 0.9).high / probability)
-    assert over[1] == pytest.approx(over[0], rel=0.1)
+    for probability in (0.011, 0.009, 0.002, 1e-4):
+        plan = plan_estimate(rare_latent(probability), SPACE, 300, np.random.default_rng(3), sceptical=True)
+        over.append(plan.estimate(plan.predicted, all_answered(plan), 0.9).high / probability)
+    assert over[1] == pytest.approx(over[0], rel=0.2)
     assert 1.1 < over[2] < 1.3 * over[0]
-
-
-def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
-    rows = WeightedRows(("u",), np.linspace(0.0, 1.0, 4000)[:, None], np.ones(4000))
-    limit = 0.995
-
-    def of(X: Array) -> Array:
-        return (X[:, 0] - limit) / 0.001
-
-    integral = OfBoundary(float((rows.X[:, 0] > limit).mean()), 0.0, 0.0)
-    plan = plan_wide_strata(of, rows, integral, 300, np.random.default_rng(0))
-    assert plan is not None
-    assert plan.standard_error == 0.0
-    estimate = plan.estimate(plan.designs[:, 0] > limit, all_answered(plan), 0.9)
-    assert estimate.probability == pytest.approx(0.005, rel=1e-6)
-    assert 0.0051 < estimate.high < 0.01
-
-
-def test_an_outcome_rarer_than_one_in_a_thousand_has_no_strata() -> None:
-    assert plan_wide_strata(rare_latent(8e-4), SPACE, OfBoundary(8e-4, 0.0, 0.0), 100, np.random.default_rng(0)) is None
+    assert 1.0 < over[3] < 1.1
 
 
 def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:
