@@ -3,6 +3,7 @@
     python studies/noise.py --seeds 20
     python studies/noise.py --stop --learns g --case half,rare
     python studies/noise.py --intervals 200
+    python studies/noise.py --unlike 10
 
 The margin is 1 - x - y + N(0, 0.15) over the unit square, or 1.7 - x - y ("rare"), and failure where it is at most 0. A
 campaign simulates 160 designs. The table gives the mean absolute error of P(failure | design) over the square, that of
@@ -10,7 +11,9 @@ BoTorch's SingleTaskGP of the same margins or SingleTaskVariationalGP of the sam
 probit regression of these outcomes on x and y, the probability of failure, by the classifier and from 200 fresh
 simulations, and how often the 90 % interval of these holds the truth. With --stop a campaign has the stop rule of a
 probability, and ends before 160 where it knows it; the last columns say when. With --intervals it is how often
-intervals hold it by classifiers that are wrong.
+intervals hold it by classifiers that are wrong. With --unlike it is what a campaign of 150 from the margin says where
+the noise is normal, has a deviation that grows with x, is 0.6 worse in 3 % of the runs, is one of ten values, or has
+Student's t distribution with 2.5 degrees of freedom; with failure at 1 - x - y and at 1.8 - x - y.
 """
 
 import itertools
@@ -25,11 +28,13 @@ from gpytorch.likelihoods import BernoulliLikelihood
 from gpytorch.mlls import ExactMarginalLogLikelihood, VariationalELBO
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtr
+from scipy.stats import t
 from study import Rows, asked, head, in_memory, line, parallel, spread
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.learned_from import noise_notes
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import plan_estimate
 from activefail.simulators.interface import Results
@@ -40,6 +45,20 @@ NOISE, BUDGET, FRESH = 0.15, 160, 200
 
 OFFSETS = {"half": 1.0, "rare": 1.7}
 
+TEN = 0.25 * np.array([-1.2, -0.9, -0.7, -0.5, -0.3, 0.0, 0.2, 0.6, 1.3, 2.4])
+
+UNLIKE = {
+    "normal": (lambda rng, x: NOISE * rng.standard_normal(len(x)), lambda d, x: ndtr(d / NOISE)),
+    "growing": (lambda rng, x: (0.05 + 0.2 * x) * rng.standard_normal(len(x)), lambda d, x: ndtr(d / (0.05 + 0.2 * x))),
+    "3 % worse": (
+        lambda rng, x: 0.1 * rng.standard_normal(len(x)) - 0.6 * (rng.random(len(x)) < 0.03),
+        lambda d, x: 0.97 * ndtr(d / 0.1) + 0.03 * ndtr((d + 0.6) / 0.1),
+    ),
+    "one of ten": (lambda rng, x: -rng.choice(TEN, len(x)), lambda d, x: (d[:, None] + TEN >= 0.0).mean(axis=1)),
+    "Student's t": (lambda rng, x: 0.08 * rng.standard_t(2.5, len(x)), lambda d, x: t.cdf(d / 0.08, 2.5)),
+}
+"""Draws of each noise at x, and P(failure) at a depth d beyond the middle of the boundary, at x."""
+
 GRID = (np.stack(np.meshgrid(*[np.arange(64)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 64
 
 
@@ -48,11 +67,11 @@ class HalfPlane:
 
     outcomes, margins, causes, releases_gil = ("safe", "failure"), ("g",), ("",), True
 
-    def __init__(self, offset, seed):
-        self.offset, self.rng = offset, np.random.default_rng(seed)
+    def __init__(self, offset, seed, noise="normal"):
+        self.offset, self.rng, self.draws = offset, np.random.default_rng(seed), UNLIKE[noise][0]
 
     def run(self, X):
-        g = self.offset - X.sum(axis=1) + NOISE * self.rng.standard_normal(len(X))
+        g = self.offset - X.sum(axis=1) + self.draws(self.rng, X[:, 0])
         zero = np.zeros(len(X))
         return Results((g <= 0.0).astype(np.int8), zero.astype(np.int8), g[:, None], zero)
 
@@ -139,10 +158,35 @@ def coverage(case, shift, ratio, repeats):
     return np.reshape(held, (repeats, 2)).mean(axis=0)
 
 
+def unlike(seeds):
+    """What a campaign says of its noise, and its own probability over the truth."""
+    head(
+        "noise", "failure", "says that it is not normal", "P by the classifier / P, median", "least", "most", "not told"
+    )
+    for (noise, (_, of_noise)), offset in itertools.product(UNLIKE.items(), (1.0, 1.8)):
+        truth, told, ratios = of_noise(GRID.sum(axis=1) - offset, GRID[:, 0]).mean(), [], []
+        for seed in range(seeds):
+            settings = {
+                "seed": seed,
+                "simulator": {"python": "noise:g", "margins": ["g"], "repeatable": False},
+                "space": {name: {"low": 0.0, "high": 1.0} for name in "xy"},
+                "sampling": {"initial": 40, "budget": 150, "batch": 10},
+                "classifier": {"learns": "g"},
+            }
+            campaign = checked(CampaignSettings, settings, "study")
+            learned = in_memory(Campaign.of(campaign, simulator=HalfPlane(offset, [seed, 1], noise)))
+            told.append(bool(noise_notes(learned.classifier)))
+            ratios.append(learned.classifier.probabilities(GRID)[:, 1].mean() / truth)
+        off = sum(not (one or 0.7 <= ratio <= 1.4) for one, ratio in zip(told, ratios, strict=True))
+        low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
+        line(noise, f"{truth:.3f}", f"{sum(told)} of {seeds}", f"{middle:.2f}", f"{low:.2f}", f"{high:.2f}", off)
+
+
 def main():
     options = asked(
         __doc__,
         intervals=0,
+        unlike=0,
         stop=False,
         seeds=20,
         first_seed=0,
@@ -153,6 +197,10 @@ def main():
         file=Path,
         processes=1,
     )
+    if options.unlike:
+        torch.set_num_threads(1)
+        unlike(options.unlike)
+        return
     if options.intervals:
         head("case", "classifier's shift", "its noise / true noise", "importance sampling covers", "strata cover")
         for case, shift, ratio in itertools.product(options.case, (0.0, 0.05), (0.5, 1.0, 2.0)):
