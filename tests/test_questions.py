@@ -314,7 +314,7 @@ def test_a_question_whose_margins_deviate_from_the_classifiers_is_told_so(tmp_pa
     far = asked(tmp_path, '[space]\ny = { distribution = "normal", mean = 8, sd = 0.4 }\n')
     own, found = (
         json.loads(activefail("probability", tmp_path / "run", "--json", *more).out)["outcomes"]["failure"]
-        for more in ([], ["--question", far])
+        for more in (["--simulations", "200"], ["--question", far])
     )
     assert own["deviation_of_margins"] < 2.0
     assert found["deviation_of_margins"] > 2.0

@@ -321,6 +321,8 @@ class Storeys:
     def __call__(self, X):
         return np.round(9.0 * X[:, :1])
 
+    to_learn = __call__
+
 
 def test_where_all_values_of_the_features_are_known_other_designs_with_them_are_proposed():
     X = SPACE.sobol(64, np.random.default_rng(0))
