@@ -486,7 +486,10 @@ class OutcomeSettings(Section):
     @classmethod
     def _repeats_as_a_system(cls, repeatable: bool | None, info: ValidationInfo) -> bool | None:
         if repeatable is False and info.data.get("system"):
-            raise ValueError("must be true with simulator.system: the noise of several margins is not learned")
+            raise ValueError(
+                "must be true with simulator.system: the noise of several margins is not learned. Leave system out; "
+                "name one margin, such as the least of them, or learn from outcomes"
+            )
         return repeatable
 
     @property
