@@ -110,3 +110,11 @@ def weighted_quantiles(values: Array, weight: Array, shares: Sequence[float]) ->
     # Rounding may leave the last sum below 1.
     places = np.minimum(np.searchsorted(below, np.asarray(shares) * (1.0 - 1e-12)), len(order) - 1)
     return np.asarray(values[order][places])
+
+
+def clopper_pearson(hits: float, values: float, tail: float) -> tuple[float, float]:
+    """The interval of a share by hits among values, whole numbers or not, each end with this one-sided confidence."""
+    from scipy.stats import beta
+
+    low = float(beta.ppf(1.0 - tail, hits, values - hits + 1.0)) if hits > 0.0 else 0.0
+    return low, float(beta.ppf(tail, hits + 1.0, values - hits)) if hits < values else 1.0

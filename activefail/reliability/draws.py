@@ -47,21 +47,21 @@ def expected_draws(shares: Array, m: int, repeats: bool = False) -> Array:
     Args:
         shares: (n,) all positive.
         m: number of draws; without repeats at most n.
-        repeats: whether rows may be drawn again if there are fewer than m: each as often as all others, and the
-            remaining draws in proportion to the shares.
+        repeats: whether rows may be drawn again if there are fewer than m: in proportion to the shares, but at least
+            once.
     """
     n = len(shares)
-    every, left = divmod(m, n) if repeats else (0, min(m, n))
-    if left == n:
-        return np.full(n, every + 1.0)
-    # The largest shares are capped: the k largest, for the least k that leaves no other above 1.
-    order = np.argsort(-shares, kind="stable")
-    falling = shares[order]
-    rest = np.cumsum(falling[::-1])[::-1]
-    k = int(np.argmax((left - np.arange(n)) * falling <= rest))
+    if m >= n and not repeats:
+        return np.ones(n)
+    # The k largest shares, or smallest, are drawn once, for the least k that leaves no other above 1, or below.
+    side = 1.0 if m > n else -1.0
+    order = np.argsort(side * shares, kind="stable")
+    ordered = shares[order]
+    rest = np.cumsum(ordered[::-1])[::-1]
+    k = int(np.argmax(side * ((m - np.arange(n)) * ordered - rest) >= 0.0))
     expected = np.ones(n)
-    expected[order[k:]] = (left - k) * falling[k:] / rest[k]
-    return every + np.minimum(expected, 1.0)
+    expected[order[k:]] = (m - k) * ordered[k:] / rest[k]
+    return np.asarray(np.maximum(expected, 1.0) if m > n else np.minimum(expected, 1.0))
 
 
 def systematic(expected: Array, order: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:

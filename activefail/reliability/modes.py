@@ -17,7 +17,7 @@ from activefail.acquisition.population import Population, around, first_parents,
 from activefail.reliability.estimate import WIDER, Interval, ModeShare, Plan, with_floor
 from activefail.space import Array, DesignSpace
 from activefail.systems import System
-from activefail.weighted import WeightedRows
+from activefail.weighted import WeightedRows, clopper_pearson
 
 Sides = Callable[[Array], Array]
 """Values of a distribution's variables, (n, d) -> the probits that each mode has failed, (n, k)."""
@@ -58,15 +58,15 @@ def _each(values: Array, end: float) -> Iterator[Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class FreshModes:
-    """What m fresh simulations say of the modes, and what was expected.
+class CorrectedModes:
+    """What m fresh simulations say of the modes, beyond what regressions predict.
 
     Attributes:
         system: of the modes.
         plan: of the draws.
         seen: the events of the draws; as predicted where a draw does not show them.
-        predicted: their probabilities by the regressions; 0 without them.
-        whole: those of the distribution, by each of some populations, first axis; none without regressions.
+        predicted: their probabilities by the regressions.
+        whole: those of the distribution, by each of some populations, first axis.
         doubted: probabilities of the events, in doubt, at designs that might have been drawn.
         adds: what the square of the value of each of these designs adds to the variance of a mean.
     """
@@ -92,9 +92,8 @@ class FreshModes:
 
     def _estimated(self, event: int) -> Array:
         """The probability of an event, (), or (k,) of one of each mode."""
-        whole = self.whole[event]
         return np.asarray(
-            whole.sum(axis=0) / max(1, len(whole))
+            self.whole[event].mean(axis=0)
             + self.plan.ratio @ (self.seen[event] - self.predicted[event]) / len(self.plan.ratio)
         )
 
@@ -127,7 +126,57 @@ def doubt_of_modes(system: System, z: Array) -> Array:
     return np.asarray(np.sqrt(fails * np.maximum(q * (1.0 - q), 0.0).max(axis=1)))
 
 
-def counted_modes(system: System, plan: Plan, margins: Array) -> FreshModes:
+@dataclass(frozen=True, eq=False)
+class CountedModes:
+    """What m fresh simulations say of the modes by their weights alone.
+
+    Attributes:
+        system: of the modes.
+        plan: of the draws.
+        seen: the events of the draws; not, where a draw does not show them.
+    """
+
+    system: System
+    plan: Plan
+    seen: Events
+
+    def shares(self, confidence: float) -> tuple[ModeShare, ...]:
+        """Of each mode, with intervals of this confidence; none if no failure is known."""
+        if not self.seen.system.any():
+            return ()
+        failed, decisive = ([self._share(one, confidence) for one in event.T] for event in self.seen[1:])
+        return tuple(map(ModeShare, self.system.names, failed, decisive))
+
+    def _share(self, event: Array, confidence: float) -> Interval:
+        """The share of the failures where an event, (m,), occurs.
+
+        The interval is that of Clopper and Pearson, with as many failures as would vary as much if all were independent
+        and had equal weights [KornGraubard1998].
+        """
+        plan, fails = self.plan, self.seen.system
+        weight = plan.ratio / len(fails)
+        of = float(weight @ fails)
+        share = min(1.0, float(weight @ event) / of)
+        alone = float((plan.chance * weight**2 + plan.sampled) @ fails)
+        if not alone > 0.0:
+            return share, share, share
+        values, tail = of**2 / alone, 0.5 + 0.5 * confidence
+        # A variance by unequal weights is known as if by fewer failures.
+        fewer = min(1.0, _students(float(fails.sum()), tail) / _students(values, tail)) ** 2
+        variance, _, of_rows = plan.moments((event - share * fails) / of)
+        if variance + of_rows > 0.0:
+            values = min(values, share * (1.0 - share) / (variance + of_rows))
+        return share, *clopper_pearson(share * values * fewer, values * fewer, tail)
+
+
+def _students(values: float, tail: float) -> float:
+    """The quantile of Student's t with as many values."""
+    from scipy.stats import t
+
+    return float(t.ppf(tail, max(1.0, values - 1.0)))
+
+
+def counted_modes(system: System, plan: Plan, margins: Array) -> CountedModes:
     """What fresh simulations say of the modes, without regressions.
 
     Args:
@@ -135,12 +184,7 @@ def counted_modes(system: System, plan: Plan, margins: Array) -> FreshModes:
         plan: of the draws.
         margins: (m, k) of the draws; NaN where one is not known.
     """
-    seen = Events.of(system, np.where(np.isnan(margins), np.inf, margins))
-    nothing, nowhere = Events(*(np.zeros_like(of) for of in seen)), Events(*(of[:0] for of in seen))
-    # Of a share nothing is known before.
-    likely = ((of.sum(axis=0) + 1.0) / (seen.system.sum() + 2.0) for of in seen[1:])
-    doubted = Events(seen.system, *(seen.system[:, None] * share for share in likely))
-    return FreshModes(system, plan, seen, nothing, nowhere, doubted, plan.chance * (plan.ratio / len(plan.ratio)) ** 2)
+    return CountedModes(system, plan, Events.of(system, np.where(np.isnan(margins), np.inf, margins)))
 
 
 def corrected_modes(
@@ -150,7 +194,7 @@ def corrected_modes(
     sides: Sides,
     space: DesignSpace | WeightedRows,
     rng: np.random.Generator,
-) -> FreshModes:
+) -> CorrectedModes:
     """What fresh simulations say of the modes, beyond what their regressions predict.
 
     Args:
@@ -167,7 +211,7 @@ def corrected_modes(
     X, adds = plan.drawn_from
     doubted = Events.expected(system, sides(X) / (WIDER * plan.deviation))
     predicted, whole = Events.expected(system, z), _integrated(system, sides, space, rng)
-    return FreshModes(system, plan, seen, predicted, whole, doubted, adds)
+    return CorrectedModes(system, plan, seen, predicted, whole, doubted, adds)
 
 
 def _integrated(system: System, sides: Sides, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Events:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.space import Array
+from activefail.weighted import clopper_pearson
 
 _PRIOR = (0.5, 4.5)
 """Beta prior of the share θ of predictions that are wrong although the classifier is sure of them. With its mean of
@@ -125,7 +126,7 @@ def of_others(
         drawn: `deviations`.
         confidence: of the interval.
     """
-    from scipy.stats import beta, t
+    from scipy.stats import t
 
     of_group = np.bincount(group, weight)
     count = int((of_group > 0.0).sum())
@@ -144,10 +145,7 @@ def of_others(
     if variance > 0.0:
         values = min(values, centre * (1.0 - centre) / variance)
     values *= (float(t.ppf(tail, len(weight) - 1)) / float(t.ppf(tail, count - 1))) ** 2
-    hits = centre * values
-    low = float(beta.ppf(1.0 - tail, hits, values - hits + 1.0)) if hits > 0.0 else 0.0
-    high = float(beta.ppf(tail, hits + 1.0, values - hits)) if hits < values else 1.0
-    return Interval(low, high)
+    return Interval(*clopper_pearson(centre * values, values, tail))
 
 
 def most_wrong(checked: Checked, confidence: float) -> float:

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv, ndtr
+from scipy.special import gammaincinv, ndtr, ndtri
 
 from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
@@ -37,7 +37,14 @@ from activefail.reliability.integral import (
     existence,
     integrate,
 )
-from activefail.reliability.modes import FreshModes, Sides, corrected_modes, counted_modes, doubt_of_modes
+from activefail.reliability.modes import (
+    CorrectedModes,
+    CountedModes,
+    Sides,
+    corrected_modes,
+    counted_modes,
+    doubt_of_modes,
+)
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -122,7 +129,7 @@ class Sampled:
     exists: Existing | None = None
     severer: "tuple[Sampled, ...]" = ()
     lost: tuple[float, float] | None = None
-    modes: FreshModes | None = None
+    modes: CorrectedModes | CountedModes | None = None
     repeatable: bool = True
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
@@ -151,16 +158,17 @@ class Sampled:
         """Upper bound on the probability among all designs that needs no classifier, from the draws alone.
 
         What was simulated for certain is known. Of the others, each hit counts with its ratio, and one more with the
-        largest that there is [FayFeuer1997].
+        largest that there is [FayFeuer1997]. The parts of the distribution that rows stand for may be a sample.
         """
         plan, may_be = self.plan, self.beyond | ~self.answered
         of_chance, m = plan.chance > 0.0, len(may_be)
         known = float((may_be & ~of_chance) @ plan.ratio) / m
         parts = np.append(plan.ratio[may_be & of_chance], plan.widest) / m
-        mean, variance = float(parts.sum()), float(parts @ parts)
-        if not mean > 0.0:
-            return min(1.0, known)
-        return min(1.0, known + variance / mean * float(gammaincinv(mean**2 / variance, BOUND_CONFIDENCE)))
+        mean, variance, above = float(parts.sum()), float(parts @ parts), 0.0
+        if mean > 0.0:
+            above = variance / mean * float(gammaincinv(mean**2 / variance, BOUND_CONFIDENCE)) - mean
+        of_rows = float(ndtri(BOUND_CONFIDENCE)) * math.sqrt(float(plan.sampled @ may_be))
+        return min(1.0, known + mean + math.hypot(above, of_rows))
 
     def _among_all(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks.
@@ -312,7 +320,7 @@ class Estimator:
         name = set_name("check", question.digest[:16], severity, *kept)
         return replace(sampled, check=self._check(sampled, X, outcome, question, name, results_of))
 
-    def _modes(self, sampled: Sampled, results: Results, question: Question) -> FreshModes:
+    def _modes(self, sampled: Sampled, results: Results, question: Question) -> CorrectedModes | CountedModes:
         """What the m simulations of a sample say of the modes of the campaign's system."""
         latent, system, plan = self.classifier.latents[0], self.campaign.system, sampled.plan
         assert system is not None

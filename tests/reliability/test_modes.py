@@ -15,6 +15,7 @@ from activefail.space import DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.training import fit_system
 from activefail.systems import parse_system
+from activefail.weighted import WeightedRows
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)
@@ -74,6 +75,34 @@ def test_shares_that_are_counted_have_wider_intervals(truth, monkeypatch) -> Non
     assert (of_counts[..., 1] <= truth).all()
     assert (truth <= of_counts[..., 2]).all()
     assert (np.diff(of_counts[..., 1:]) > np.diff(of_regressions[..., 1:])).all()
+
+
+def test_the_intervals_of_counted_shares_cover_though_a_mode_is_rare() -> None:
+    square = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in ("x", "y")))
+    system = parse_system("min(a, b, c)", ["a", "b", "c"])
+
+    def limit(X):
+        return np.column_stack([X - 0.1, 1.83 - X.sum(axis=1)])
+
+    beyond = np.array([0.1, 0.1, 0.5 * 0.17**2])
+    share, covered = beyond / (beyond.sum() - 0.1 * 0.1), []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        plan = plan_estimate(lambda X: -system(limit(X)) / 0.01, square, 50, rng)
+        found = numbers(counted_modes(system, plan, limit(plan.designs)).shares(0.9))[0]
+        covered.append((found[:, 1] <= share) & (share <= found[:, 2]))
+    # Nominal 54 of 60; fewer than 50 have a chance of 3 %.
+    assert (np.sum(covered, axis=0) >= 50).all()
+
+
+def test_shares_are_exact_where_all_rows_were_simulated() -> None:
+    X = np.random.default_rng(0).normal(size=(40, 2))
+    rows = WeightedRows(("x", "y"), X, np.r_[60.0, np.ones(39)])
+    plan = plan_estimate(lambda X: X[:, 0] - 1.0, rows, 50, np.random.default_rng(0))
+    system = parse_system("min(a, b)", ["a", "b"])
+    (of_a, _) = counted_modes(system, plan, plan.designs).shares(0.9)
+    fails, failed = ((X < 0.0).any(axis=1), X[:, 0] < 0.0)
+    assert of_a.failed == pytest.approx(3 * (rows.weight @ failed / (rows.weight @ fails),))
 
 
 def test_without_a_failure_there_are_no_shares() -> None:
