@@ -402,7 +402,9 @@ def halves(options):
             for _ in range(options.repetitions):
                 kept = np.isin(events, rng.permutation(events.max() + 1)[: (events.max() + 1) // 2])
                 group = np.unique(events[kept], return_inverse=True)[1]
-                found = of_others(fails[kept], np.full(kept.sum(), 1.0 / kept.sum()), group, np.zeros(1), CONFIDENCE)
+                found = of_others(
+                    fails[kept], np.full(kept.sum(), 1.0 / kept.sum()), group, np.zeros((2, 1)), CONFIDENCE
+                )
                 held.append(holds(found, fails.mean()))
                 others.append(holds(found, fails[~kept].mean()))
                 widths.append(100.0 * (found.high - found.low))

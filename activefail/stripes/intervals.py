@@ -75,7 +75,7 @@ def expected_wrong(predicted: NDArray[np.bool_], doubt: Array, weight: Array, ch
 def deviations(
     beyond: NDArray[np.bool_], predicted: NDArray[np.bool_], doubt: Array, weight: Array, sure_wrong: SureWrong
 ) -> Array:
-    """Draws of the probability of these values minus the predicted one, (draws,).
+    """Draws of what wrong predictions leave out of the probability of these values, and what they put in, (2, draws).
 
     A prediction is wrong with its doubt q, and with the probability θ although the classifier is sure: q + (1 − 2q) θ.
     All predictions share θ.
@@ -91,24 +91,24 @@ def deviations(
     theta = rng.beta(*sure_wrong, size=(_DRAWS, 1))
     q = doubt[predicted]
     is_wrong = rng.random((_DRAWS, len(q))) < q + (1.0 - 2.0 * q) * theta
-    return np.asarray(is_wrong @ np.where(beyond[predicted], -weight[predicted], weight[predicted]))
+    sides = ~beyond[predicted], beyond[predicted]
+    return np.array([is_wrong @ (weight[predicted] * side) for side in sides])
 
 
 def of_these(probability: float, drawn: Array, lost: tuple[float, float], confidence: float) -> Interval:
     """The interval of these values: the classifier's remaining doubt.
 
+    Each end counts wrong predictions of one side alone, because all of them may lie there.
+
     Args:
         probability: of the values, by simulations and predictions.
-        drawn: `deviations` from it.
+        drawn: `deviations`.
         lost: probability of the values whose simulations gave no outcome, predicted to be beyond, and not to be. They
             may be on either side.
         confidence: of the interval.
     """
-    tails = 0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence
-    low, high = np.quantile(drawn, tails, method="inverted_cdf")
-    # The predictions themselves are possible, even if most of a check's were wrong.
-    ends = probability + min(0.0, float(low)) - lost[0], probability + max(0.0, float(high)) + lost[1]
-    return Interval(max(0.0, ends[0]), min(1.0, ends[1]))
+    missed, false = np.quantile(drawn, 0.5 + 0.5 * confidence, axis=1, method="inverted_cdf").tolist()
+    return Interval(max(0.0, probability - false - lost[0]), min(1.0, probability + missed + lost[1]))
 
 
 def of_others(
@@ -128,7 +128,7 @@ def of_others(
     """
     from scipy.stats import t
 
-    of_group = np.bincount(group, weight)
+    of_group, off = np.bincount(group, weight), drawn[0] - drawn[1]
     count = int((of_group > 0.0).sum())
     if count < _LEAST_GROUPS:
         return None
@@ -140,8 +140,8 @@ def of_others(
     counted = of_group if agree else weight
     values = 1.0 / float(counted @ counted)
     # Predictions that may be wrong move the probability away from 0 or 1.
-    centre = float(np.clip(probability + drawn.mean(), 0.0, 1.0))
-    variance, tail = between + float(drawn.var()), 0.5 + 0.5 * confidence
+    centre = float(np.clip(probability + off.mean(), 0.0, 1.0))
+    variance, tail = between + float(off.var()), 0.5 + 0.5 * confidence
     if variance > 0.0:
         values = min(values, centre * (1.0 - centre) / variance)
     values *= (float(t.ppf(tail, len(weight) - 1)) / float(t.ppf(tail, count - 1))) ** 2

@@ -297,7 +297,7 @@ def test_a_wrong_check_counts_for_predictions_of_which_the_classifier_has_no_dou
 
 
 def test_the_interval_of_others_is_the_same_for_all_beyond_as_for_none() -> None:
-    weight, group, drawn = np.full(44, 1.0 / 44.0), np.arange(44) % 14, np.zeros(4000)
+    weight, group, drawn = np.full(44, 1.0 / 44.0), np.arange(44) % 14, np.zeros((2, 4000))
     every, none = (of_others(np.full(44, side), weight, group, drawn, 0.9) for side in (True, False))
     assert every is not None
     assert none is not None
@@ -352,26 +352,28 @@ def test_without_a_check_everything_may_be_wrong_and_a_check_that_is_all_wrong_s
 
 @pytest.mark.parametrize("spread", [0.0, 1.0])
 @pytest.mark.parametrize("irregular", [0.0, 0.01, 0.03, 0.05, 0.1])
-@pytest.mark.parametrize("questions", [0, 5])
+@pytest.mark.parametrize(("questions", "of_beyond"), [(0, 0.15), (5, 0.15), (0, 0.5), (5, 0.5)])
 def test_the_interval_of_these_holds_where_irregular_values_are_predicted_wrongly(
-    irregular: float, spread: float, questions: int
+    irregular: float, spread: float, questions: int, of_beyond: float
 ) -> None:
+    # Where half of the values are beyond the boundary, all irregular ones lie on the safe side.
     rng = np.random.default_rng([int(100 * irregular), int(spread), questions])
     held, tried, predicted, drawn = 0, 300, 30, 3
     for _ in range(tried):
         # Of 40 values ten were simulated. The check finds a wrong one, or the rest stays predicted.
         weight = np.exp(spread * rng.standard_normal(40))
         weight = (weight / weight.sum())[:predicted]
-        beyond, is_wrong = rng.random(predicted) < 0.15, rng.random(predicted) < irregular
+        beyond, is_wrong = rng.random(predicted) < of_beyond, rng.random(predicted) < irregular
+        is_wrong &= ~beyond if of_beyond == 0.5 else True
         left = ~np.isin(np.arange(predicted), np.argsort(rng.exponential(size=predicted) / weight)[:drawn])
         if is_wrong[~left].any():
             held += 1  # then nearly all values are simulated
             continue
         earlier = Checked(questions * drawn, int(rng.binomial(questions * drawn, irregular)))
         drawings = deviations(beyond, left, np.zeros(predicted), weight, SureWrong.of(Checked(drawn, 0), earlier))
-        low, high = np.quantile(drawings, (0.05, 0.95), method="inverted_cdf")
+        low, high = of_these(0.5, drawings, (0.0, 0.0), 0.9)
         off = np.where(beyond, -weight, weight)[left] @ is_wrong[left]
-        held += low - 1e-9 <= off <= high + 1e-9
+        held += low - 1e-9 <= 0.5 + off <= high + 1e-9
     assert held / tried >= 0.88 - 2.0 * np.sqrt(0.1 / tried)
 
 
@@ -409,7 +411,7 @@ def test_the_bound_of_the_check_is_one_on_the_present_predictions() -> None:
 
 
 def test_the_interval_of_others_is_that_of_independent_values_or_of_groups() -> None:
-    weight, exact = np.full(40, 1.0 / 40.0), np.zeros(4)
+    weight, exact = np.full(40, 1.0 / 40.0), np.zeros((2, 4))
     beyond = np.arange(40) < 10
     single = of_others(beyond, weight, np.arange(40), exact, 0.9)
     assert single is not None
@@ -423,7 +425,7 @@ def test_the_interval_of_others_is_that_of_independent_values_or_of_groups() -> 
     assert none.high > 1.0 - 0.05 ** (1.0 / 8.0)
     assert of_others(beyond, weight, np.arange(40) // 20, exact, 0.9) is None
     # The classifier's doubt widens it.
-    doubted = of_others(beyond, weight, np.arange(40), np.random.default_rng(0).normal(size=4000, scale=0.1), 0.9)
+    doubted = of_others(beyond, weight, np.arange(40), np.random.default_rng(0).normal(size=(2, 4000), scale=0.07), 0.9)
     assert doubted is not None
     assert doubted.high - doubted.low > 1.3 * (single.high - single.low)
 
