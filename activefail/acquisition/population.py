@@ -30,7 +30,7 @@ _EFFORT, _ROUND = 64, 2**17
 
 
 class Population(NamedTuple):
-    """A weighted sample of the design measure: feasible designs alone, with means over which weighted means are.
+    """A weighted sample of the design measure, of feasible designs alone: weighted means are means over the measure.
 
     Attributes:
         Z: (n, d) points of standard normal space; NaN for weighted rows, which have none.
