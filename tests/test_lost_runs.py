@@ -95,7 +95,7 @@ def settings_of(**changes):
     return CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
 
 
-def taken(simulator, **changes):
+def taken(simulator, /, **changes):
     settings = settings_of(**changes)
     campaign = Campaign.of(settings, simulator=simulator)
     store = MemoryStore(campaign.schema)
