@@ -211,11 +211,9 @@ def integrate(
     if (exists := existence(boundaries)) is None:
         return integral
     existing = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None, rng=rng)
-    share = integral.probability / existing.probability
-    return integral._replace(
-        probability=np.minimum(share, 1.0),
-        error=np.hypot(integral.error, share * existing.error) / existing.probability,
-    )
+    probability = integral.probability / existing.probability
+    error = np.hypot(integral.error, probability * existing.error) / existing.probability
+    return integral._replace(probability=np.minimum(probability, 1.0), error=error)
 
 
 def _integrated(
