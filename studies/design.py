@@ -1,47 +1,70 @@
-"""From a target failure probability to a bearing: how often designs meet their targets, and what the intervals cover.
+"""Designs for a target: how often they meet it, what they ask for and cost, and what intervals and curves are worth.
 
-    python studies/design.py                         everything: 20 bearings, two targets (about an hour)
-    python studies/design.py --parts designs         searched designs against fresh pulses
-    python studies/design.py --bearings 3 --seed 7   a quick look at other bearings
+    python studies/design.py                                     everything: 20 bearings, 50 problems (hours)
+    python studies/design.py --parts formulas --seeds 2          a quick look
+    python studies/design.py --parts designs --seed 91           searched bearings against fresh pulses
+    python studies/design.py --parts intervals,curves --seed 1   the classifier of the bearings (about an hour)
 
-A campaign of campaigns/bearing.toml is run first, or read from --campaign. Bearings are drawn from Table 1 for each
-target. For the parts intervals and curves the hazard is M 7, PGV 1 m/s, and a bearing is kept if the classifier puts
-its required D_tot inside the range. For designs the classifier has no say: each bearing gets a site, M 6.4 to 7.6 and
-a median PGV of 0.6 to 1.44 m/s, and is kept if of 500 pulses a share of at most 0.8 times the target fails at the
-largest D_tot, and of at least 1.2 times the target at the smallest. The parts are
+The parts are
 
+    formulas   `design` where a formula gives the probability. For each seed and problem a campaign learns the limit
+               state in the ranges of its design; the loads are uncertain and lognormal. A design is drawn, but for its
+               free variables, and `design` makes it as cheap as the target allows. "fresh" are the fresh simulations of
+               all looks, "excess" the first free variable, or the cost, over the least that meets the target, of
+               verified designs. The problems are
+                   column  one free variable, a margin: capacity · grip over the demand
+                   tank    the same, learned from outcomes alone
+                   beam    a width and a height with the cost width · height, a margin; the height is best at its limit
+                   frame   two limit states in series, the smaller margin: demand of the frame, and of a bearing that
+                           moves with it
+                   jump    the column after a campaign of 16, with 3 % of failures that a jump in an idle variable
+                           hides; not in "all"
+    designs    `Run.design`: status, simulations, the probability by 10,000 fresh pulses, and D_tot over the smallest
+               one beyond which the target is met. That is read off a curve by 2,000 pulses, scaled to this probability
     intervals  estimates from 250 simulations of a bearing whose probability is near the target. They are drawn from
                8,000 pulses, whose outcomes are all simulated, so that the true share is known exactly. "cover" is the
                share of 95 % intervals that contain it, "x MC" and "x Sobol'" how many times more simulations Monte
                Carlo (normal interval) and scrambled Sobol' points (t-interval over 8 randomisations of 32) need for an
                interval of the same width. --estimators names other ways to draw them than the package's sceptical plan
-    designs    `Run.design`: status, simulations, the probability by 10,000 fresh pulses, and D_tot over the smallest
-               one beyond which the target is met. That is read off a curve by 2,000 pulses, scaled to this probability
     curves     the classifier's curves of each bearing of the first target, against PGV and against A_p, and those of
                simulations of the same 256 pulses: median and dispersion of the likeliest lognormal curve, for the
                pulses inside the campaign's design space; of the nearest lognormal curve, for all pulses; and median
                and standard deviation of the logarithm of the capacity from the increments, for all pulses
 
-Each line of --out is one bearing; a repeated command continues where it stopped.
+The last three are of a campaign of campaigns/bearing.toml, which is run first, or read from --campaign, and of bearings
+drawn from Table 1 for each target. For intervals and curves the hazard is M 7, PGV 1 m/s, and a bearing is kept if the
+classifier puts its required D_tot inside the range. For designs the classifier has no say: each bearing gets a site,
+M 6.4 to 7.6 and a median PGV of 0.6 to 1.44 m/s, and is kept if of 500 pulses a share of at most 0.8 times the target
+fails at the largest D_tot, and of at least 1.2 times the target at the smallest.
+
+Each line of --out is one bearing or problem; a repeated command continues where it stopped.
 """
 
 import itertools
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import interp1d
-from scipy.optimize import curve_fit, minimize
+from scipy.optimize import brentq, curve_fit, minimize
 from scipy.special import ndtr
+from scipy.stats import norm
 from scipy.stats import t as student
-from study import Rows, asked
+from study import Rows, asked, campaign_of, head, in_memory, line
 
 from activefail import create_run, open_run, simulate
 from activefail.bearing.pulse import amplitude_of
 from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.campaign.inquiry import Inquiry
 from activefail.execution.local import ThreadExecutor
 from activefail.reliability import estimate as importance
 from activefail.reliability.integral import boundary_of
+from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.design.search import find_design
+from activefail.simulators.interface import Results
 from activefail.surrogate.threads import one_thread
+from activefail.verification.probability_estimator import Estimator
 from activefail.weighted import WeightedRows
 
 TARGETS = (0.10, 0.025)
@@ -50,6 +73,7 @@ LEVELS, PERIODS = 48, 256
 HAZARD = {"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}
 FREE, RANGE = "D_tot", (0.45, 0.85)
 FAILURE = 2
+JUMP = norm.isf(0.03)
 KINDS = {
     "inside": "pulses of the design space, likeliest lognormal",
     "nearest": "all pulses, nearest lognormal",
@@ -192,7 +216,7 @@ ESTIMATORS = {
 }
 
 
-def intervals(study, bearing, target, number, estimators):
+def intervals(study, bearing, target, number, options):
     rng = np.random.default_rng([number, 1])
     question = study.question({**bearing, FREE: study.required(bearing, target)})
     X = study.draw(question, POOL, rng)
@@ -202,7 +226,7 @@ def intervals(study, bearing, target, number, estimators):
         means = [study.failed(question, question.space.sobol(32, rng)).mean() for _ in range(8)]
         sobol.append(student.ppf(0.975, 7) * np.std(means, ddof=1) / np.sqrt(8.0))
     row = {"P": P, "off": ndtr(z).mean() / P - 1.0, "wrong": ((z > 0.0) != failed).mean()}
-    for name in estimators:
+    for name in options.estimators:
         low, high = np.transpose([ESTIMATORS[name](z, failed, rng) for _ in range(REPEATS)])
         variance = SIMULATIONS * np.mean(0.5 * (high - low)) ** 2
         row |= {
@@ -215,9 +239,11 @@ def intervals(study, bearing, target, number, estimators):
     return row
 
 
-def designs(study, site, target, number, _):
+def designs(study, site, target, number, options):
     bearing, hazard, question = site
-    findings = study.run.design(target, hazard, fixed=bearing, executor=ThreadExecutor(1))
+    findings = study.run.design(
+        target, hazard, fixed=bearing, simulations=options.simulations, executor=ThreadExecutor(1)
+    )
     found = findings.designed
     value = found.values[FREE]
     rng = np.random.default_rng([number, 2])
@@ -313,24 +339,195 @@ def curves(study, bearing, target, number, _):
     return result
 
 
-PARTS = {"intervals": intervals, "designs": designs, "curves": curves}
+def lognormal(median, dispersion):
+    return {"distribution": "lognormal", "median": median, "dispersion": dispersion}
 
 
-def show(part, target, rows, estimators):
+def between(low, high):
+    return {"low": low, "high": high}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A limit state g(x) <= 0 of named variables."""
+
+    limit: object  # columns by name -> (n,)
+    probability: object  # values of the design by name -> probability
+    design: dict  # ranges of the design's variables, by name
+    loads: dict
+    free: tuple
+    budget: int
+    margins: tuple = ("g",)
+    cost: str = ""
+
+    outcomes = ("safe", "failure")
+    causes = ("",)
+    releases_gil = True
+
+    def run(self, X):
+        g = self.limit(dict(zip([*self.design, *self.loads], X.T, strict=True)))
+        nothing = np.zeros(len(X))
+        margins = g[:, None] if self.margins else np.empty((len(X), 0))
+        return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), margins, nothing)
+
+    def price(self, values):
+        return values["width"] * values["height"] if self.cost else values[self.free[0]]
+
+    def least(self, fixed, target):
+        """The least cost of a design that meets the target; NaN if the range has none."""
+        first, *others = self.free
+        low, high = (end for end in (self.design[first]["low"], self.design[first]["high"]))
+        prices = []
+        for share in np.linspace(0.0, 1.0, 201 if others else 1):
+            held = {
+                name: one["low"] + share * (one["high"] - one["low"])
+                for name, one in self.design.items()
+                if name in others
+            }
+
+            def over(x, held=held):
+                return self.probability({**fixed, **held, first: x}) - target
+
+            if over(low) > 0.0 >= over(high):
+                prices.append(self.price({**held, first: brentq(over, low, high, xtol=1e-9)}))
+        return min(prices, default=float("nan"))
+
+
+def of_ratio(ratio, dispersion):
+    return float(norm.sf(np.log(ratio) / dispersion))
+
+
+def in_series(v):
+    """P(min <= 0) of the frame: integrated over the pull, by a formula over the slip."""
+    first = np.log(v["size"] / 0.9) / 0.35
+    z = np.linspace(-8.0, first, 2001)
+    pull = 0.9 * np.exp(0.35 * z)
+    of_other = norm.sf(np.log(v["gap"] * v["size"] / (0.5 * np.sqrt(pull))) / 0.45)
+    return float(norm.sf(first) + np.trapezoid(of_other * norm.pdf(z), z))
+
+
+PROBLEMS = {
+    "column": Problem(
+        lambda v: np.log(v["capacity"] * np.sqrt(v["grip"]) / v["demand"]),
+        lambda v: of_ratio(v["capacity"] * np.sqrt(v["grip"]), 0.4),
+        {"capacity": between(0.5, 4.0), "grip": between(0.6, 1.5)},
+        {"demand": lognormal(1.0, 0.4)},
+        ("capacity",),
+        24,
+    ),
+    "tank": Problem(
+        lambda v: np.log(v["capacity"] * np.sqrt(v["grip"]) / v["demand"]),
+        lambda v: of_ratio(v["capacity"] * np.sqrt(v["grip"]), 0.4),
+        {"capacity": between(0.5, 4.0), "grip": between(0.6, 1.5)},
+        {"demand": lognormal(1.0, 0.4)},
+        ("capacity",),
+        100,
+        margins=(),
+    ),
+    "beam": Problem(
+        lambda v: v["strength"] * v["width"] * v["height"] ** 2 / v["span"] - v["load"],
+        lambda v: of_ratio(2.0 * v["width"] * v["height"] ** 2 / v["span"], np.hypot(0.3, 0.1)),
+        {"width": between(0.2, 1.0), "height": between(0.8, 1.6), "span": between(0.8, 1.6)},
+        {"strength": lognormal(2.0, 0.1), "load": lognormal(1.0, 0.3)},
+        ("width", "height"),
+        60,
+        cost="width * height",
+    ),
+    "frame": Problem(
+        lambda v: np.minimum(
+            np.log(v["size"] / v["pull"]), np.log(v["gap"] * v["size"] / v["slip"] / np.sqrt(v["pull"]))
+        ),
+        in_series,
+        {"size": between(0.8, 3.0), "gap": between(0.4, 1.2)},
+        {"pull": lognormal(0.9, 0.35), "slip": lognormal(0.5, 0.45)},
+        ("size",),
+        60,
+    ),
+    "jump": Problem(
+        lambda v: np.where(v["idle"] > JUMP, -0.3, np.log(v["capacity"] * np.sqrt(v["grip"]) / v["demand"])),
+        lambda v: 0.03 + 0.97 * of_ratio(v["capacity"] * np.sqrt(v["grip"]), 0.4),
+        {"capacity": between(0.5, 4.0), "grip": between(0.6, 1.5)},
+        {"demand": lognormal(1.0, 0.4), "idle": {"distribution": "normal", "mean": 0.0, "sd": 1.0}},
+        ("capacity",),
+        16,
+    ),
+}
+
+
+@cache
+def learned(name, seed):
+    problem = PROBLEMS[name]
+    campaign = campaign_of(
+        problem,
+        seed=seed,
+        space={**problem.design, **problem.loads},
+        sampling__budget=problem.budget,
+        sampling__initial=max(8, problem.budget // 3),
+        sampling__batch=4,
+        classifier__features="design",
+    )
+    return in_memory(campaign)
+
+
+def formulas(_, name, target, seed, options):
+    problem, of, rng = PROBLEMS[name], learned(name, seed), np.random.default_rng([seed, round(1e4 * target)])
+    while True:
+        held = {key: one["low"] + rng.random() * (one["high"] - one["low"]) for key, one in problem.design.items()}
+        fixed = {key: value for key, value in held.items() if key not in problem.free}
+        if np.isfinite(least := problem.least(fixed, target)):
+            break
+    asked_of = Inquiry.of(of.campaign, None, None, fixed, problem.free)
+    task = design_task(
+        asked_of, (Requirement("failure", target),), problem.free, problem.cost, 0.95, options.simulations
+    )
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(of.campaign, of.store, executor, of.classifier, of.history.last_iteration)
+        found = find_design(estimator, task)
+    P = problem.probability({**fixed, **found.values})
+    return {
+        "status": found.status,
+        "fresh": found.simulations,
+        "looks": [(look.simulations, *task.question.at(look.candidate.values).fixed.values()) for look in found.looks],
+        "P": P,
+        "meets": bool(target >= P),
+        "excess": task.cost(found.values) / least - 1.0,
+    }
+
+
+PARTS = {"formulas": formulas, "designs": designs, "intervals": intervals, "curves": curves}
+
+
+def show(part, target, rows, options):
     """Print the rows of a part and a target."""
 
     def column(name):
         return np.array([row[name] for row in rows], dtype=float)
 
-    head = f"{part:<9} P = {100 * target:g} %, {len(rows)} bearings:"
+    title = f"{part:<9} P = {100 * target:g} %, {len(rows)} bearings:"
     match part:
+        case "formulas":
+            head("target", "problem", "verified", "meet", "fresh, median and most", "excess of the cost, median, most")
+            for name in (*options.problems, "all"):
+                some = [row for row in rows if row["problem"] == name or (name == "all" and row["problem"] != "jump")]
+                if not some:
+                    continue
+                good = [row for row in some if row["status"] == "verified"]
+                fresh, excess = [row["fresh"] for row in some], [100.0 * row["excess"] for row in good] or [np.nan]
+                line(
+                    f"{100 * target:g} %",
+                    name,
+                    f"{len(good)} of {len(some)}",
+                    f"{sum(row['meets'] for row in good)} of {len(good)}",
+                    f"{np.median(fresh):.0f}, {np.max(fresh)}",
+                    f"{np.median(excess):.1f}, {np.max(excess):.1f} %",
+                )
         case "intervals":
             off = 100.0 * column("off")
             print(
-                f"{head} the classifier's probability is off by {off.std():.1f} % (standard deviation), {off.min():.0f}"
-                f" to {off.max():.0f} %; misclassified {100 * np.median(column('wrong')):.1f} %"
+                f"{title} the classifier's probability is off by {off.std():.1f} % (standard deviation), "
+                f"{off.min():.0f} to {off.max():.0f} %; misclassified {100 * np.median(column('wrong')):.1f} %"
             )
-            for name in estimators:
+            for name in options.estimators:
                 cover = column(f"cover {name}")
                 print(
                     f"  {name}: cover {cover.mean():.3f}, worst {cover.min():.2f}; upper bounds "
@@ -349,7 +546,7 @@ def show(part, target, rows, estimators):
             for axis, (name, words) in itertools.product(("pgv", "a_p"), KINDS.items()):
                 median, beta = (100.0 * np.abs(column(f"{name}_{of}_{axis}")) for of in ("median", "dispersion"))
                 print(
-                    f"{head} against {axis}, {words}: median off by {np.median(median):.1f} % (at most "
+                    f"{title} against {axis}, {words}: median off by {np.median(median):.1f} % (at most "
                     f"{median.max():.1f}), dispersion by {np.median(beta):.1f} % ({beta.max():.1f}); within 1.5 %: "
                     f"{(median <= 1.5).sum()}, within 3 %: {(beta <= 3.0).sum()}, both: "
                     f"{((median <= 1.5) & (beta <= 3.0)).sum()}"
@@ -357,36 +554,53 @@ def show(part, target, rows, estimators):
             for axis in ("pgv", "a_p"):
                 whole, inside, misfit = (column(f"{name}_{axis}") for name in ("largest", "largest_inside", "misfit"))
                 print(
-                    f"{head} against {axis}, a level off by {np.median(whole):.3f} (at most {whole.max():.3f}), inside "
-                    f"the design space by {np.median(inside):.3f} ({inside.max():.3f}); misfit of the simulations' "
-                    f"lognormal {misfit.min():.2f} to {misfit.max():.2f}"
+                    f"{title} against {axis}, a level off by {np.median(whole):.3f} (at most {whole.max():.3f}), "
+                    f"inside the design space by {np.median(inside):.3f} ({inside.max():.3f}); misfit of the "
+                    f"simulations' lognormal {misfit.min():.2f} to {misfit.max():.2f}"
                 )
+
+
+def cases_of(study, part, target, options):
+    """Of a part: what a row is of, the bearing, site or problem, and its seed."""
+    if part == "formulas":
+        names = [name for name in options.problems if name != "jump" or target > 0.03]
+        for seed, name in itertools.product(range(options.seed, options.seed + options.seeds), names):
+            yield {"problem": name, "number": seed}, name, seed
+        return
+    study.rng = np.random.default_rng([options.seed, round(1000 * target)])
+    drawn = (study.sites if part == "designs" else study.bearings)(target, options.bearings)
+    for number, bearing in enumerate(drawn):
+        yield {"number": number, "seed": options.seed}, bearing, 1000 * options.seed + number
 
 
 def main():
     options = asked(
         __doc__,
-        campaign=Path("runs/design-benchmark"),
-        bearings=20,
-        seed=1,
         parts=list(PARTS),
         targets=list(TARGETS),
-        estimators=["strata"],
+        seed=10,
+        problems=list(PROBLEMS),
+        seeds=10,
+        bearings=20,
+        campaign=Path("runs/design-benchmark"),
+        estimators=["sceptical"],
+        simulations=1000,
         out=Path("runs/design-benchmark.jsonl"),
     )
-    rows, study = Rows(options.out, seed=options.seed), Study(options.campaign, options.seed)
-    for target, part in itertools.product(options.targets, options.parts):
+    rows = Rows(options.out, simulations=options.simulations)
+    study = Study(options.campaign, options.seed) if {*options.parts} - {"formulas"} else None
+    for part, target in itertools.product(options.parts, options.targets):
         if part == "curves" and target != TARGETS[0]:
             continue
-        study.rng = np.random.default_rng([options.seed, round(1000 * target)])
-        drawn = (study.sites if part == "designs" else study.bearings)(target, options.bearings)
-        for number, bearing in enumerate(drawn):
-            case = {"part": part, "target": target, "number": number}
+        shown = []
+        for case, of, number in cases_of(study, part, target, options):
+            case |= {"part": part, "target": target}
             if rows.lack(**case):
                 with one_thread():
-                    found = PARTS[part](study, bearing, target, 1000 * options.seed + number, options.estimators)
+                    found = PARTS[part](study, of, target, number, options)
                 rows.add(**case, **found)
-        show(part, target, rows.of(part=part, target=target), options.estimators)
+            shown += rows.of(**case)
+        show(part, target, shown, options)
 
 
 if __name__ == "__main__":

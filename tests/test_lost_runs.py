@@ -1,7 +1,7 @@
 """What a lost run means: unknown, failure or impossible. Learner, stop rule and intervals read it from one place."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from activefail.surrogate.margin import MarginLatent, fit_margin
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import expected_error, verify
 from activefail.verification.probability_estimator import Estimator, Existing
+from activefail.verification.surface import verify_surface
 from activefail.weighted import WeightedRows
 
 DIES_BELOW = -2.0
@@ -60,6 +61,16 @@ class Dies:
 
 
 @dataclass(frozen=True)
+class Noisy(Dies):
+    """A solver that does not repeat."""
+
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+
+    def run(self, X):
+        return super().run(X + np.column_stack([0.2 * self.rng.standard_normal(len(X)), np.zeros(len(X))]))
+
+
+@dataclass(frozen=True)
 class Beyond(Dies):
     """A solver that gives up around the boundary."""
 
@@ -84,7 +95,7 @@ def settings_of(**changes):
     return CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
 
 
-def taken(simulator, **changes):
+def taken(simulator, /, **changes):
     settings = settings_of(**changes)
     campaign = Campaign.of(settings, simulator=simulator)
     store = MemoryStore(campaign.schema)
@@ -202,6 +213,21 @@ def test_an_error_is_that_of_the_designs_that_exist() -> None:
     # What it expects where designs do not exist, whose outcome it never saw, is no error.
     everywhere = replace(learned.classifier, impossible=None)
     assert expected_error(campaign, learned.classifier) < expected_error(campaign, everywhere)
+
+
+def test_a_verification_hardly_simulates_designs_that_probably_do_not_exist() -> None:
+    # Half of the designs do not exist; from outcomes the classifier is never sure which, nor of what they would give.
+    noise = {"simulator": {"python": "made:run", "repeatable": False}}
+    for kind, changes in ((Dies, {}), (Noisy, noise)):
+        solver = kind(margins=(), impossible=(0,), at=0.3, below=0.0)
+        campaign, store, learned = taken(solver, sampling__budget=80, **changes)
+        with ThreadExecutor(1) as executor, one_thread():
+            last = History.of(store.batches).last_iteration
+            estimator = Estimator(campaign, store, executor, learned.classifier, last)
+            found = (verify_surface if changes else verify)(estimator, 200, 0.9)
+        numbers = found.as_json()
+        assert (numbers["simulations"] + numbers["nonexistent"], numbers["numerical_failures"]) == (200, 0)
+        assert 0 < numbers["nonexistent"] <= 60
 
 
 def test_a_design_that_does_not_exist_is_predicted_to_be_so(tmp_path: Path) -> None:

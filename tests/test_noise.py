@@ -11,6 +11,7 @@ from commandline import activefail
 from scipy.special import ndtr
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.errors import InputError, SimulationError
@@ -23,8 +24,12 @@ from activefail.loop.learning import current, learn_from
 from activefail.loop.running import run
 from activefail.loop.telling import add
 from activefail.opening import open_run
+from activefail.progress import silent
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import BoundariesOf
+from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.design.findings import DesignFindings
+from activefail.risk.design.search import Candidate, Designed, Look
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import Results
 from activefail.surrogate.state import classifier_state
@@ -151,15 +156,20 @@ def test_a_noise_that_is_not_normal_is_told_beside_every_number_of_the_classifie
     with ThreadExecutor(1) as executor:
         estimator = Estimator(campaign, store, executor, classifier, history.last_iteration)
         estimate = estimator.sample("failure", 20, campaign.question).estimate(0.9)
+        task = design_task(Inquiry(campaign, campaign.question), (Requirement("failure", 0.1),), ("x",))
+        sampled = estimator.sample("failure", 20, task.question.at({"x": 0.2}))
+        look = Look(Candidate({"x": 0.2}, np.array([0.2]), is_feasible=False), (sampled,), 0.9, 20)
+        design = DesignFindings.of(estimator, Designed(task, (look,), 1, "out of reach"), False, silent)
     found = ProbabilityFindings.of(campaign, history, classifier, "failure", estimate, campaign.question)
     told = [
         saved.sentence(settings),
         *choices_in_words(campaign, history, classifier),
         " ".join(found.assumptions),
+        " ".join(design.as_json()["assumptions"]),
         known_in_words(campaign, history, classifier, None),
         known_in_words(campaign, history, without_torch, None),
     ]
-    assert ["its noise is not normal" in one for one in told] == [is_told] * 5
+    assert ["its noise is not normal" in one for one in told] == [is_told] * 6
 
 
 def test_fresh_simulations_of_equal_rows_are_runs_of_their_own(noisy) -> None:

@@ -38,6 +38,10 @@ SEQUENCES, _LENGTHS, _LONGER = 8, (128, 512), (2048, 8192)
 _STUDENTS = ((SEQUENCES - 1.0) / (SEQUENCES - 3.0)) ** 0.5
 """Standard deviation of Student's t: the means of the sequences are few."""
 
+_COUNTED = (6.0 * SEQUENCES) ** -0.5
+"""Least standard error of the mean of the sequences, in points of one: each counts a whole number beyond a sharp
+boundary, the one below or above at random, and all may count the same. The variance is 1/6 on average."""
+
 _LEAST_LENGTH_SHARE = 0.1
 """Share of feasible designs below which a sequence, which is drawn until it has enough of them, is not longer."""
 
@@ -206,11 +210,10 @@ def integrate(
     )
     if (exists := existence(boundaries)) is None:
         return integral
-    existing = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None)
-    return integral._replace(
-        probability=np.minimum(integral.probability / existing.probability, 1.0),
-        error=integral.error / existing.probability,
-    )
+    existing = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None, rng=rng)
+    probability = integral.probability / existing.probability
+    error = np.hypot(integral.error, probability * existing.error) / existing.probability
+    return integral._replace(probability=np.minimum(probability, 1.0), error=error)
 
 
 def _integrated(
@@ -234,7 +237,7 @@ def _integrated(
         beyond = np.concatenate([beyond, of_new], axis=1) if beyond.size else of_new
         found = _of_sequences(beyond, X[:, :length], contains)
         if rng is not None:
-            found = found._replace(error=_STUDENTS * found.error)
+            found = found._replace(error=np.maximum(_STUDENTS * found.error, _COUNTED / length))
         # What was accurate with fewer points keeps its number, whatever else is integrated beside it.
         integral = Integral(*(np.where(accurate, *pair) for pair in zip(integral, found, strict=True)))
         # Of a probability near 1, the rest is what is rare.

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""
 
+_EXISTS = 0.1
+"""Probability of existence below which the classifier is sure that a design does not exist. Learned from tens of runs,
+it seldom comes nearer to 0."""
+
 POOL = 2**14
 """Random designs that estimate the parts' volumes."""
 
@@ -126,12 +130,7 @@ def planned(estimator: "Estimator", simulations: int) -> Verification:
 
     Designs of which the classifier is sure that they do not exist are left out.
     """
-    campaign = estimator.campaign
-    rng = stream(campaign.settings.seed, "verification", estimator.iteration)
-    pool = campaign.space.random(POOL, rng)
-    existence = estimator.classifier.existence(pool)
-    if (exists := existence >= EDGES[0]).any():
-        pool, existence = pool[exists], existence[exists]
+    campaign, (pool, existence) = estimator.campaign, pool_of(estimator, POOL)
     moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
     doubt = probability_wrong(moments)
     part = np.searchsorted(EDGES, doubt, side="right")
@@ -145,6 +144,20 @@ def planned(estimator: "Estimator", simulations: int) -> Verification:
     numbers = np.minimum(allotted(volumes, expected, simulations), counts)
     rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
     return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected, len(pool))
+
+
+def pool_of(estimator: "Estimator", n: int) -> tuple[Array, Array]:
+    """At most n random designs, with the probability that each exists; without those that surely do not."""
+    campaign = estimator.campaign
+    X = campaign.space.random(n, stream(campaign.settings.seed, "verification", estimator.iteration))
+    existence = estimator.classifier.existence(X)
+    exists = existence >= _EXISTS
+    return (X[exists], existence[exists]) if exists.any() else (X, existence)
+
+
+def existing(campaign: Campaign, results: Results) -> NDArray[np.bool_]:
+    """Which of n simulations do not say that their design does not exist, (n,)."""
+    return ~is_impossible(campaign.simulator, results.outcome, results.cause)
 
 
 def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
@@ -265,9 +278,9 @@ def _names(estimator: "Estimator", simulations: int) -> tuple[str, str]:
 
 
 def _judged(campaign: Campaign, plan: Verification, results: Results, confidence: float) -> ErrorEstimate:
-    exists = ~is_impossible(campaign.simulator, results.outcome, results.cause)
     answered = results.outcome != NUMERICAL_FAILURE
-    return estimate_error(plan, results.outcome >= campaign.severity, answered, confidence, exists)
+    beyond = results.outcome >= campaign.severity
+    return estimate_error(plan, beyond, answered, confidence, existing(campaign, results))
 
 
 def _rounded(shares: Array, most: NDArray[np.int_]) -> NDArray[np.int_]:

@@ -3,7 +3,7 @@
 Fresh simulations of random designs judge P(at least as severe | design). No design is wrong: its outcome is random.
 """
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.special import xlogy
 from scipy.stats import t
 
-from activefail.campaign.random_streams import stream
 from activefail.errors import SimulationError
 from activefail.numerals import counted
 from activefail.record.store import Store
@@ -19,6 +18,7 @@ from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.confidence_bounds import upper_bound
+from activefail.verification.error import POOL, existing, pool_of
 from activefail.verification.probability_estimator import Estimator
 from activefail.verification.scores import fits, keep_of, kept_of
 from activefail.verification.stored_sets import set_name
@@ -58,8 +58,9 @@ class SurfaceScore:
         expected_log_score: that the classifier's own probabilities predict.
         confidence: of the intervals.
         simulations: fresh simulations with an outcome.
-        numerical_failures: other fresh simulations, which are not scored.
+        numerical_failures: other fresh simulations of designs that exist, which are not scored.
         calibration: of the probabilities, by classes that have simulations.
+        nonexistent: fresh simulations that say that their design does not exist; they count for nothing.
     """
 
     log_score: float
@@ -70,14 +71,17 @@ class SurfaceScore:
     simulations: int
     numerical_failures: int
     calibration: tuple[CalibrationClass, ...]
+    nonexistent: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """The score as JSON values; `docs/reference/json.md` describes the keys."""
-        return asdict(self) | {"calibration": [asdict(one) for one in self.calibration]}
+        values = asdict(self) | {"calibration": [asdict(one) for one in self.calibration]}
+        return {key: value for key, value in values.items() if key != "nonexistent" or value}
 
     def rows(self, boundary: str) -> list[tuple[str, str]]:
         """Titles and texts of the score and the calibration, for the outcome of the boundary."""
         failed = f"; {self.numerical_failures} failed numerically" if self.numerical_failures else ""
+        failed += f"; {self.nonexistent} designs that do not exist left out" if self.nonexistent else ""
         classes = [
             (
                 f"P {part.low_edge:g} to {part.high_edge:g}",
@@ -98,7 +102,9 @@ class SurfaceScore:
         ]
 
 
-def score(probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: float) -> SurfaceScore:
+def score(
+    probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: float, nonexistent: int = 0
+) -> SurfaceScore:
     """The score of probabilities, (n,), by whether simulations ended beyond the boundary, (n,); others were lost."""
     p, n = np.clip(probability, 1e-12, 1.0 - 1e-12), len(probability)
     scores = np.log(np.where(beyond, p, 1.0 - p))
@@ -111,21 +117,23 @@ def score(probability: Array, beyond: NDArray[np.bool_], lost: int, confidence: 
         ends = 1.0 - upper_bound(k - hits, k, sure), upper_bound(hits, k, sure)
         edges = EDGES[number], EDGES[number + 1]
         classes.append(CalibrationClass(*edges, k, float(p[rows].mean()), hits / k, *ends))
-    return SurfaceScore(middle, middle - half, middle + half, expected, confidence, n, lost, tuple(classes))
+    ends = middle - half, middle + half
+    return SurfaceScore(middle, *ends, expected, confidence, n, lost, tuple(classes), nonexistent)
 
 
 def verify_surface(estimator: Estimator, simulations: int, confidence: float) -> SurfaceScore:
     """Score the target boundary's probabilities by fresh simulations, which are kept in the run folder."""
-    campaign = estimator.campaign
-    X = campaign.space.random(simulations, stream(campaign.settings.seed, "verification", estimator.iteration))
+    campaign, (pool, existence) = estimator.campaign, pool_of(estimator, max(POOL, simulations))
+    # Of those that probably do not exist, `predict` gives no probabilities.
+    X = pool[np.argsort(existence < 0.5, kind="stable")][:simulations]
     results = estimator.results(set_name("surface", estimator.iteration, simulations), "", X)
     assert results is not None  # no stop was requested
-    answered = results.outcome != NUMERICAL_FAILURE
+    answered, exists = results.outcome != NUMERICAL_FAILURE, existing(campaign, results)
     if answered.sum() < 2:
         raise SimulationError(f"simulations: two must give an outcome, got {answered.sum()} of {simulations}.")
     probability = estimator.classifier.predicted(X[answered]).beyond(campaign.severity)
-    beyond, lost = results.outcome[answered] >= campaign.severity, int((~answered).sum())
-    found = score(probability, beyond, lost, confidence)
+    beyond, lost = results.outcome[answered] >= campaign.severity, int((exists & ~answered).sum())
+    found = score(probability, beyond, lost, confidence, int((~exists).sum()))
     keep_of(estimator.store, _surface_of(estimator.store), found.as_json(), campaign.learner_code)
     return found
 
@@ -137,6 +145,6 @@ def _surface_of(store: Store) -> tuple[str, ...]:
 def last_surface(store: Store, code: str) -> SurfaceScore | None:
     """The score that was found last; None unless it is of this record and a classifier of this custom code."""
     value = kept_of(store, _surface_of(store), code)
-    if not fits(value, {one.name: object for one in fields(SurfaceScore)}):
+    if not fits(value, {one.name: object for one in fields(SurfaceScore) if one.default is MISSING}):
         return None
     return SurfaceScore(**value | {"calibration": tuple(CalibrationClass(**one) for one in value["calibration"])})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 from scipy.stats import ncx2
 
 from activefail.parameter import Parameter
@@ -56,6 +56,29 @@ def test_predictions_are_counted_on_an_island_that_no_prediction_leads_to() -> N
     true = float(ncx2.cdf(0.25, 3, 4.3**2))
     found = baseline(lambda X: island(X)[:, None], normals(5), 0.02, np.random.default_rng(0))
     assert found.of(0).probability == pytest.approx(true, rel=0.15)
+
+
+@pytest.mark.parametrize("true", [0.99, 0.9, 0.3])
+def test_the_error_of_an_estimate_holds_though_all_sequences_count_the_same(true: float) -> None:
+    def plane(X: Array) -> Array:
+        return 1e4 * (X[:, :1] - float(ndtri(1.0 - true)))
+
+    found = [baseline(plane, normals(2), 0.002, np.random.default_rng(seed)).of(0) for seed in range(40)]
+    held = sum(abs(one.probability - true) <= 1.645 * one.error for one in found)
+    # Of 90 %, 31 or fewer of forty come by chance in one case of sixty.
+    assert held >= 32
+    assert max(one.error for one in found) <= 0.003 * min(true, 1.0 - true)
+
+
+def test_the_error_of_a_share_of_what_exists_is_that_of_both_integrals() -> None:
+    def beyond(X: Array) -> Array:
+        return 1e4 * np.minimum(X[:, :1], X[:, 1:])
+
+    beyond.exists = lambda X: 1e4 * (X[:, 1:] + 0.3 * X[:, :1] ** 2)  # type: ignore[attr-defined]
+    alone = integrate(lambda X: beyond(X), normals(2), accuracy=0.01, rng=np.random.default_rng(0))
+    share, again = (integrate(beyond, normals(2), accuracy=0.01, rng=np.random.default_rng(seed)) for seed in (0, 1))
+    assert share.error[0] / share.probability[0] > 1.05 * alone.error[0] / alone.probability[0]
+    assert share.probability[0] / alone.probability[0] != again.probability[0] / alone.probability[0]
 
 
 def test_two_far_regions_are_both_found() -> None:

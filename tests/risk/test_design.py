@@ -384,11 +384,28 @@ def test_a_target_that_a_larger_design_meets_is_not_called_out_of_reach() -> Non
     assert (found.status, found.values["capacity"]) == ("verified", 6.0)
 
 
-def test_a_target_is_out_of_reach_if_the_end_of_the_range_exceeds_it() -> None:
+@dataclass
+class Reversed(MadeEstimator):
+    """Its classifier believes that the smallest capacity is the safest, and that it misses the target."""
+
+    def standardised(self, outcome: str) -> Callable[[Array], Array]:
+        return lambda X: (np.log(X[:, 3]) + 0.1 * X[:, 0] - 0.3) / 0.4
+
+
+def test_no_target_is_out_of_reach_because_the_wrong_end_of_the_range_exceeds_it() -> None:
+    found = find_design(Reversed(1.0, 0.1, 0), task_of(question_of(), 0.1, 1000))  # type: ignore[arg-type]
+    wrong, right, *_ = found.looks
+    assert (wrong.candidate.values["capacity"], right.candidate.values["capacity"]) == (0.5, 6.0)
+    assert wrong.above(np.array([0.1])).all()
+    assert found.status != "out of reach"
+
+
+def test_a_target_is_out_of_reach_if_all_ends_of_the_range_exceed_it() -> None:
     task = replace(task_of(question_of(), 0.05), high={"capacity": 1.5})
     found = find_design(MadeEstimator(1.0, 0.1, 0), task)  # type: ignore[arg-type]
     assert (found.status, found.values["capacity"]) == ("out of reach", 1.5)
-    assert found.result.above(np.array([0.05])).all()
+    assert [look.candidate.values["capacity"] for look in found.looks] == [1.5, 0.5]
+    assert all(look.above(np.array([0.05])).all() for look in found.looks)
 
 
 def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:

@@ -10,6 +10,7 @@ from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.campaign.question import Outside, Question
+from activefail.findings.learned_from import noise_notes
 from activefail.findings.lines import titled
 from activefail.json_text import json_values
 from activefail.progress import Stage
@@ -42,6 +43,7 @@ class DesignFindings:
         costs: by confidence, the value of the first free variable that it would take, the others held; NaN if out of
             range; empty if out of reach.
         chart: values that targets require; None if it was not asked for.
+        noise: sentences on a margin whose noise is not normal.
     """
 
     designed: Designed
@@ -50,6 +52,7 @@ class DesignFindings:
     at_least: tuple[float, ...] = ()
     costs: Mapping[float, float] = field(default_factory=dict)
     chart: RequiredChart | None = None
+    noise: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, estimator: Estimator, designed: Designed, with_chart: bool, stage: Stage) -> Self:
@@ -79,7 +82,8 @@ class DesignFindings:
             if task.rate is not None:
                 at_least = probabilities(at_design.under(hazard, task.rate.velocity))
         outside = designed.question.outside(task.asked.campaign.space)
-        return cls(designed, outside, at_upper, at_least, costs, chart)
+        noise = tuple(noise_notes(estimator.classifier))
+        return cls(designed, outside, at_upper, at_least, costs, chart, noise)
 
     @property
     def campaign(self) -> Campaign:
@@ -141,7 +145,7 @@ class DesignFindings:
     def assumptions(self) -> list[str]:
         """What the result assumes, as sentences."""
         task = self.designed.task
-        sentences, limit = list(self.designed.question.assumptions), self.designed.result.of_bound
+        sentences, limit = [*self.designed.question.assumptions, *self.noise], self.designed.result.of_bound
         if (rate := task.rate) is not None:
             at_least = ", ".join(percent(share) for share in self.at_least)
             sentences.append(
@@ -242,7 +246,8 @@ class DesignFindings:
             case _:
                 return (
                     "Out of reach: according to the classifier, no design within the ranges meets the target. Fresh "
-                    "simulations confirm this at the end of the ranges, shown here: even a lower bound exceeds it."
+                    "simulations confirm this at all ends of the ranges: even a lower bound exceeds it at the safest, "
+                    "shown here."
                 )
 
     @property
@@ -261,8 +266,7 @@ class DesignFindings:
         designed, task = self.designed, self.designed.task
         cost = task.cost(designed.values)
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
-        parts = zip(designed.result.estimates, task.requirements, strict=True)
-        is_far = max(estimate.probability / one.target for estimate, one in parts) < _FAR
+        is_far = designed.result.ratios(task.targets).max() < _FAR
         more = (
             f" The probability is far below the target: --simulations {2 * task.simulations} may verify a {kind} one."
         )

@@ -99,6 +99,10 @@ class Look:
         """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
         return sum(estimate.surprising for estimate in self.estimates)
 
+    def ratios(self, targets: Array) -> Array:
+        """The probabilities over their targets, (r,) each."""
+        return np.array([estimate.probability for estimate in self.estimates]) / targets
+
     def above(self, targets: Array) -> NDArray[np.bool_]:
         """Whether even the lower bounds exceed their targets, (r,) each."""
         return np.array([estimate.low for estimate in self.estimates]) > targets
@@ -126,7 +130,7 @@ class Designed:
         number: of the look at the result, from 1 on: the cheapest verified design, or else the last look.
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
             classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
-            simulations show that one at the end of the ranges exceeds a target.
+            simulations show that those at all ends of the ranges exceed a target.
     """
 
     task: DesignTask
@@ -223,8 +227,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     result. The search ends when looks or simulations are spent, or when a design is verified and the next proposal
     would be cheaper by less than `WORTH`. The cheapest verified design is the result.
 
-    If no design meets the targets by the classifier, and the nearest one exceeds them by simulations, the safest end of
-    the ranges is looked at, because the classifier may be wrong there.
+    If no design meets the targets by the classifier, and the nearest one exceeds them by simulations, the ends of the
+    ranges are looked at, the safest first, because the classifier may be wrong there, and about which one is safest.
     """
     model = _model_of(estimator, task)
     looks: list[Look] = []
@@ -274,13 +278,15 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         question = task.question.at(candidate.values)
         return np.array([estimator.probability(one.outcome, question) for one in task.requirements])
 
-    while len(looks) < LOOKS and (sizes := task.sizes(sum(one.size for one in looks), looks[-1].size if looks else 0)):
+    ends, last = list[dict[str, float]](), 0
+    while len(looks) < LOOKS and (sizes := task.sizes(sum(one.size for one in looks), last)):
         stage(f"searching for the design of look {len(looks) + 1}")
         simulations = needed(sizes)
         aims = aims_of(simulations)
         candidate = cheapest(task, model, aims)
-        if not (candidate.is_feasible or task.choices or all(look.candidate.is_feasible for look in refuted)):
-            candidate = _safest_end(task, model, aims)
+        if ends and not candidate.is_feasible:
+            values = min(ends, key=lambda end: _excess(model(end, task.points), aims))
+            candidate = Candidate(values, model(values, task.points), is_feasible=False)
         if candidate.is_feasible:
             # The search's integrals have few points; how far off they are hardly depends on the design.
             of_search = np.maximum(candidate.model, _LEAST)
@@ -295,6 +301,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         sampled = tuple(estimator.sample(one.outcome, simulations, draw) for one in task.requirements)
         look = Look(candidate, sampled, confidence_of_bound(task.confidence, len(looks)), simulations)
         looks.append(look)
+        last = simulations
         if look.above(task.targets).any():
             refuted.append(look)
         if verifies(look.estimates, task.targets.tolist()):
@@ -302,23 +309,26 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
         if look.surprising:
             break
-        # Of the nearest design even a lower bound exceeds a target: only the end of the ranges may still help.
+        # Of the nearest design even a lower bound exceeds a target: only the ends of the ranges may still help.
         if not candidate.is_feasible and look in refuted:
-            if len(_sides(task, candidate.values)) == len(task.free):
-                return Designed(task, tuple(looks), len(looks), "out of reach")
-            if task.choices:
+            ends = [] if task.choices else _ends(task, [one.candidate.values for one in refuted])
+            if not ends and len(_sides(task, candidate.values)) == len(task.free):
+                safest = min(refuted, key=lambda one: max(one.ratios(task.targets)))
+                return Designed(task, tuple(looks), 1 + looks.index(safest), "out of reach")
+            if not ends:
                 break
+            # A look at another end need not be larger.
+            last = 0
     if verified:
         return Designed(task, tuple(looks), min(verified)[1], "verified")
     return Designed(task, tuple(looks), len(looks), "not verified")
 
 
-def _safest_end(task: DesignTask, model: Model, aims: Array) -> Candidate:
-    """The end of the ranges of all free variables, which have no choices, that is safest by the classifier."""
+def _ends(task: DesignTask, refuted: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """The ends of the ranges of all free variables, which have no choices, that constraints allow; without some."""
     corners = itertools.product(*zip(task.low.values(), task.high.values(), strict=True))
     ends = [dict(zip(task.free, corner, strict=True)) for corner in corners]
-    values = min(ends, key=lambda end: _excess(model(end, task.points), aims))
-    return Candidate(values, model(values, task.points), is_feasible=False)
+    return [end for end in ends if end not in refuted and task.allows(end) and task.question.at(end).has_designs]
 
 
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
