@@ -234,6 +234,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     looks: list[Look] = []
     refuted: list[Look] = []
     verified: list[tuple[float, int]] = []
+    imagined: dict[int, Array] = {}
 
     def half_widths(size: int) -> Array:
         """Expected half widths of the intervals of the next look with so many simulations, (r,)."""
@@ -243,9 +244,12 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             ratio = math.sqrt(looks[-1].size / size)
             estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
-        question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
-        plans = [estimator.plan(one.outcome, size, question) for one in task.requirements]
-        return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
+        if size not in imagined:
+            question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
+            plans = [estimator.plan(one.outcome, size, question) for one in task.requirements]
+            widths = [plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans]
+            imagined[size] = np.array(widths)
+        return imagined[size]
 
     def aims_of(size: int) -> Array:
         """The classifier's probabilities, (r,), below which such a look is expected to verify a design."""
