@@ -70,7 +70,7 @@ def test_hidden_failure_where_the_classifier_is_sure_is_within_the_bound_more_of
         return fails(X) | ((cells[:, 0] * 7919 + cells[:, 1] * 104729) % 1000 < 10)
 
     true = float(with_islands(SPACE.from_unit(np.random.default_rng(2).random((400_000, 2)))).mean())
-    plans = [plan_of(0.12, 300, seed) for seed in range(60)]
+    plans = [plan_of(0.12, 300, seed) for seed in range(120)]
     highs = [plan.estimate(with_islands(plan.designs), all_answered(plan), 0.92).high for plan in plans]
     assert np.mean(np.array(highs) >= true) > 0.8
 
