@@ -266,7 +266,7 @@ class DesignFindings:
         designed, task = self.designed, self.designed.task
         cost = task.cost(designed.values)
         kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
-        is_far = max(designed.result.ratios(task.targets).tolist()) < _FAR
+        is_far = bool(designed.result.ratios(task.targets).max() < _FAR)
         more = (
             f" The probability is far below the target: --simulations {2 * task.simulations} may verify a {kind} one."
         )
