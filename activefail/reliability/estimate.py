@@ -340,7 +340,8 @@ class Plan:
         m, towards = len(corrections), third * (share - 0.5) > 0.0
         step = third / variance if towards else 0.0
         second = with_floor(variance, floor, m) + 0.5 * step**2 + error**2 + of_rows
-        if not second > 0.0:
+        if second < REACH**4:
+            # Of such a variance, the power below may be 0.
             return 0.0
         skewness = 2.0 * (third + 0.5 * step**3) / second**1.5
         students = float(stdtrit(max(1, m - 1), share)) / float(ndtri(share))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rare import four_branch
 from scipy.special import ndtr
+from scipy.stats import norm
 
 from activefail.features import feature_map
 from activefail.parameter import Parameter
@@ -86,6 +87,12 @@ def test_the_interval_of_an_exact_classifier_is_that_of_its_integration() -> Non
     # Nominal 10.8 of 12; fewer than 9 have a chance of 3 %.
     assert covered >= 9
     assert np.median(widths) < 0.03 * PROBABILITY
+
+
+def test_a_doubt_so_small_that_its_powers_underflow_adds_nothing() -> None:
+    plan = plan_estimate(lambda X: np.where(X[:, 0] > 2.0, 70.0, -70.0), SPACE, 50, np.random.default_rng(0))
+    estimate = plan.estimate(plan.predicted, np.ones(50, dtype=bool), 0.9)
+    assert (estimate.low, estimate.high) == pytest.approx((norm.sf(2.0), norm.sf(2.0)), rel=0.01)
 
 
 def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
