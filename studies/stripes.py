@@ -5,6 +5,7 @@
     python studies/stripes.py --part curves --seeds 3
     python studies/stripes.py --part ida --seeds 3
     python studies/stripes.py --part intervals --repetitions 30
+    python studies/stripes.py --part unsure --repetitions 150
     python studies/stripes.py --part halves --repetitions 300
 
 `questions`: a bearing under the 44 far-field records of FEMA P695 (needs `activefail[records]`). After a campaign, one
@@ -25,6 +26,11 @@ share of the values is irregular: at the asked design alone they end on the othe
 with equal weights and with lognormal ones. Each repetition is a campaign with three questions. The intervals are judged
 by the share of these values, and of the population.
 
+`unsure`: the rule and the interval of these values by made-up classifiers without a campaign, which is quick, over five
+questions. Values lie at normal distances from the boundary, of which the classifier knows all but a normal part. It may
+take this part for smaller than it is ("sure"), and all values of a question may share some of it ("common"). Irregular
+values are on the other side, all of them or those that are predicted to be safe, in all questions or in the last alone.
+
 `halves`: the interval of other records from half of the events. The truth is the share of all records, or of the other
 half, which has a sampling error of its own.
 """
@@ -41,6 +47,7 @@ from study import asked, head, in_memory, line, percent, spread
 
 from activefail.accelerogram_sets import read_record_set
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.finite import FiniteValues
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import asked_of
 from activefail.campaign.settings import CampaignSettings, checked
@@ -56,8 +63,8 @@ from activefail.risk.ida.capacity import BISECTIONS, LEVELS, capacities
 from activefail.risk.ida.collapse import fit_lognormal
 from activefail.risk.ida.simulations import CampaignSubject, Ground
 from activefail.simulators.interface import Results
-from activefail.stripes.intervals import of_others
-from activefail.stripes.stripe import Stripes
+from activefail.stripes.intervals import Checked, of_others
+from activefail.stripes.stripe import Stripe, Stripes
 from activefail.surrogate.threads import one_thread
 
 HERE = Path(__file__).parent
@@ -390,6 +397,82 @@ def intervals(options):
             )  # fmt: skip
 
 
+UNSURE = {
+    "regular": {},
+    "10 %": {"irregular": 0.1},
+    "10 %, unequal weights": {"irregular": 0.1, "weights": "lognormal"},
+    "10 % of the safe ones, unequal weights": {"irregular": 0.1, "safe": True, "weights": "lognormal"},
+    "10 %, half of the weight on one value": {"irregular": 0.1, "weights": "one"},
+    "10 %, three quarters of the weight on three values": {"irregular": 0.1, "weights": "three"},
+    "10 % of 8 values": {"irregular": 0.1, "count": 8},
+    "10 % of 20 values": {"irregular": 0.1, "count": 20},
+    "5 % of 400 values": {"irregular": 0.05, "count": 400},
+    "10 %, none predicted to fail": {"irregular": 0.1, "middle": (-6.0, -6.0)},
+    "10 %, only in the last question": {"irregular": 0.1, "last": True},
+    "10 %, only in the last question, none predicted to fail": {"irregular": 0.1, "last": True, "middle": (-6.0, -6.0)},
+    "20 %, only in the last question, none predicted to fail": {"irregular": 0.2, "last": True, "middle": (-6.0, -6.0)},
+    "too sure by 10": {"sure": 10.0, "unknown": 0.3},
+    "too sure by 10, mistakes in common": {"sure": 10.0, "unknown": 0.3, "common": 0.8},
+    "few predicted to fail, too sure by 10, in common": {
+        "sure": 10.0, "unknown": 0.5, "common": 0.8, "middle": (-2.5, -1.5)
+    },
+}  # fmt: skip
+"""Made-up classifiers."""
+
+
+def by_classifier(probit, truth, weight, earlier, wrong, rng):
+    """A question that a classifier with these latents, (n,), answers; it learns nothing from it."""
+    n, rounds, p = len(weight), (), ndtr(probit)
+    values, known = FiniteValues(("value",), np.zeros((n, 1)), weight, None), np.zeros(n, bool)
+    order, asks = np.argsort(rng.exponential(size=n) / weight), SimpleNamespace(at_once=3)
+    while True:
+        beyond, doubt = np.where(known, truth, probit > 0.0), np.where(known, 0.0, np.minimum(p, 1.0 - p))
+        stripe = Stripe(
+            None, "failure", values, known.copy(), np.zeros(n, bool), beyond, doubt, wrong, rounds, earlier,
+            int(known.sum()), 0,
+        )  # fmt: skip
+        if not (one := Stripes._chosen(asks, stripe, stripe.predicted, order)).rows:
+            return stripe
+        rounds = (*rounds, one)
+        known[one.chosen] = True
+
+
+def unsure(options):
+    """How often the interval of these values holds, by made-up classifiers."""
+    head("classifier", "question", "runs", "error [points]", "these hold", "width [points]")
+    for name, of in UNSURE.items():
+        of = {"count": 44, "irregular": 0.0, "unknown": 0.1, "common": 0.0, "middle": (-1.5, 1.0), "sure": 1.0} | of
+        rows, n = [], of["count"]
+        for seed in range(options.repetitions):
+            rng, earlier = np.random.default_rng(seed), Checked(0, 0)
+            for number in range(5):
+                weight = np.exp(rng.normal(size=n)) if of.get("weights") == "lognormal" else np.ones(n)
+                weight[: {"one": 1, "three": 3}.get(of.get("weights"), 0)] = n
+                weight /= weight.sum()
+                distance = rng.uniform(*of["middle"]) + rng.normal(size=n)
+                shared, own = rng.normal(), rng.normal(size=n)
+                off = of["unknown"] * (np.sqrt(of["common"]) * shared + np.sqrt(1.0 - of["common"]) * own)
+                irregular = (rng.random(n) < of["irregular"]) & (number == 4 or not of.get("last"))
+                if of.get("safe"):
+                    irregular &= distance <= 0.0
+                truth, probit = np.where(irregular, distance <= 0.0, distance + off > 0.0), distance / of["unknown"]
+                stripe = by_classifier(of["sure"] * probit, truth, weight, earlier, options.wrong[0], rng)
+                earlier = Checked(*np.add(earlier, stripe.checked).tolist())
+                these, exact = stripe.of_these(CONFIDENCE), float(weight @ truth)
+                error, width = abs(stripe.probability - exact), these.high - these.low
+                rows.append((stripe.new, 100.0 * error, holds(these, exact), 100.0 * width))
+        for number in (0, 4):
+            runs, errors, held, widths = np.array(rows, float)[number::5].T
+            line(
+                name,
+                number + 1,
+                f"{runs.mean():.0f}",
+                f"{errors.mean():.1f}",
+                f"{held.mean():.3f}",
+                f"{widths.mean():.0f}",
+            )
+
+
 def halves(options):
     """How often the interval of other records from half of the events holds."""
     head("PGV [m/s]", "D_tot [m]", "P", "all records", "other half", "mean width [points]")
@@ -432,5 +515,6 @@ if __name__ == "__main__":
         "curves": curves,
         "ida": capacity,
         "intervals": intervals,
+        "unsure": unsure,
         "halves": halves,
     }[options.part](options)

@@ -321,10 +321,14 @@ class _Kept:
         return "stripe", self.digest, self.outcome, self.wrong
 
     @property
+    def _own(self) -> str:
+        return f"{self.digest} {self.wrong}"
+
+    @property
     def _checks(self) -> dict[str, Checked]:
-        """By the digest of the question."""
+        """By the digest of the question and what was accepted to be wrong: asked for less, it is checked again."""
         found: Any = self.store.recall(("checks", self.outcome))
-        return {digest: Checked(*of) for digest, of in (found or {}).items()}
+        return {asked: Checked(*of) for asked, of in (found or {}).items()}
 
     def rounds(self) -> tuple[Round, ...]:
         found: Any = self.store.recall(self._identity)
@@ -335,10 +339,10 @@ class _Kept:
 
     def earlier(self) -> Checked:
         """What the checks of other questions found."""
-        others = [of for digest, of in self._checks.items() if digest != self.digest]
+        others = [of for asked, of in self._checks.items() if asked != self._own]
         return Checked(sum(one.simulated for one in others), sum(one.contradicted for one in others))
 
     def found(self, checked: Checked) -> None:
         """Keep what the question's own check found."""
-        if checked.simulated and self._checks.get(self.digest) != checked:
-            self.store.remember(("checks", self.outcome), self._checks | {self.digest: checked})
+        if checked.simulated and self._checks.get(self._own) != checked:
+            self.store.remember(("checks", self.outcome), self._checks | {self._own: checked})

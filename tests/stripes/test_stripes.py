@@ -377,15 +377,31 @@ def test_the_interval_of_these_holds_where_irregular_values_are_predicted_wrongl
     assert held / tried >= 0.88 - 2.0 * np.sqrt(0.1 / tried)
 
 
+def test_the_interval_of_these_holds_where_only_the_values_of_the_present_question_are_irregular() -> None:
+    # Of 44 values, all predicted to be safe, a tenth is beyond the boundary; checks before found nothing.
+    rng, held, tried, count = np.random.default_rng(3), 0, 600, 44
+    for _ in range(tried):
+        is_wrong, weight, left = rng.random(count) < 0.1, np.full(count, 1.0 / count), np.arange(count) >= 5
+        if is_wrong[~left].any():
+            held += 1  # then nearly all values are simulated
+            continue
+        of_sure = SureWrong.of(Checked(5, 0), Checked(12, 0))
+        drawn = deviations(np.zeros(count, bool), left, np.zeros(count), weight, of_sure)
+        held += weight @ is_wrong <= of_these(0.0, drawn, (0.0, 0.0), 0.9).high + 1e-9
+    assert held / tried >= 0.9
+
+
 def test_checks_of_other_questions_narrow_the_interval_as_far_as_their_weight_goes() -> None:
-    few, many, most = (SureWrong.of(Checked(3, 0), Checked(n, 0)) for n in (0, 8, 800))
+    few, many, most = (SureWrong.of(Checked(3, 0), Checked(n, 0)) for n in (0, 4, 800))
     assert few.mean > many.mean == most.mean > 0.02
-    assert SureWrong.of(Checked(3, 0), Checked(16, 4)) == pytest.approx((0.5 + 2.0, 4.5 + 3.0 + 6.0))
+    assert SureWrong.of(Checked(3, 0), Checked(16, 4)) == pytest.approx((0.5 + 1.0, 4.5 + 3.0 + 3.0))
     found = ran()
     one, other = found.ask(), found.ask(1.7)
     assert (one.earlier, other.earlier) == (NONE, one.checked)
     assert found.ask().earlier == other.checked
-    assert found.ask(wrong=0.02).earlier == other.checked
+    # Asked for another accuracy, a question is checked again, and its first check still counts.
+    assert found.ask(wrong=0.02).earlier == Checked(*np.add(one.checked, other.checked).tolist())
+    assert found.ask(1.5).earlier.simulated == 3 * one.checked.simulated
 
 
 def test_the_bound_of_the_check_is_one_on_the_present_predictions() -> None:
@@ -619,6 +635,7 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     again = activefail(*words, "--range", "0.8,3.8")
     assert again.out.splitlines()[0] == "probability of failure against x at y = 1"
     assert re.search(r"\nmedian +\d\.\d\d \(\d\.\d\d to \d\.\d\d, 95 %, over groups\)\n", again.out)
+    assert "It follows from a prior with a mean of 10 %" in again.out
 
 
 @pytest.mark.parametrize(

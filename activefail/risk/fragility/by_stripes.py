@@ -138,7 +138,9 @@ class FragilityByStripes:
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
-        notes = [("note", sentence) for sentence in self.found[0].of_question]
+        # The intervals assume no more at any level than where the largest share is taken to be wrong.
+        widest = max(self.found, key=lambda one: (one.stripe.predicted.any(), one.stripe.sure_wrong.mean))
+        notes = [("note", sentence) for sentence in widest.assumptions]
         head = self.heading + (f" at {self.given}" if self.given else "")
         return [head, *aligned(self.table), *titled([*self.rows, *notes])]
 
