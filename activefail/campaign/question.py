@@ -58,6 +58,7 @@ class Question:
         fixed: values of all other variables.
         factors: factors on variables, applied last, such as a bound on friction.
         draw: number of an independent sample of fresh simulations.
+        unguided: how many of them are drawn without regard to the classifier, if it can be; otherwise a share.
         is_own: whether this is the campaign's own design measure.
         stated: what the distribution assumes or leaves out besides constraints, as sentences.
     """
@@ -68,6 +69,7 @@ class Question:
     fixed: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     draw: int = 0
+    unguided: int = 0
     is_own: bool = False
     stated: tuple[str, ...] = ()
 
@@ -156,9 +158,9 @@ class Question:
         """Whether enough designs of the uncertain variables meet the constraints."""
         return isinstance(self.space, WeightedRows) or self.space.feasible_share >= LEAST_FEASIBLE
 
-    def drawn(self, draw: int) -> "Question":
+    def drawn(self, draw: int, unguided: int = 0) -> "Question":
         """The same question with another independent sample of fresh simulations."""
-        return replace(self, draw=draw)
+        return replace(self, draw=draw, unguided=unguided)
 
     def integral(self, boundaries: "Boundaries", space: DesignSpace, resolution: float = 0.0) -> "Integral":
         """The share of the question that a campaign's classifier puts beyond each boundary.

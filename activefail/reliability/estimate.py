@@ -32,8 +32,9 @@ from activefail.weighted import WeightedRows
 ROWS = 20_000
 """Designs of the population from which the simulations are drawn."""
 
-UNIFORM, _SCEPTICAL = 0.3, 0.5
-"""Share of the simulations that are drawn without regard to the classifier's doubt, and of a sceptical plan."""
+UNIFORM, _SCEPTICAL, _UNGUIDED = 0.3, 0.5, 0.7
+"""Share of the simulations that are drawn without regard to the classifier's doubt, of a sceptical plan, and the most
+that a number of them is."""
 
 _UNSEEN = 0.14
 """Hits of these simulations that a sceptical plan expects where the classifier is sure, unless the outcome is rare: the
@@ -428,6 +429,7 @@ def plan_estimates(
     first: int = 0,
     repeatable: bool = True,
     sceptical: bool = False,
+    unguided: int = 0,
 ) -> list[Plan]:
     """Plan m fresh simulations that correct the baselines of all b boundaries.
 
@@ -444,6 +446,7 @@ def plan_estimates(
             than m, and none is known for certain.
         sceptical: whether the classifier may be wrong where it is sure, with failures that are scattered, such as one
             of outcomes that is asked about a distribution that it was not learned for.
+        unguided: least number of draws without regard to the classifier, up to a share of 0.7.
     """
 
     def in_doubt(X: Array) -> Array:
@@ -458,7 +461,7 @@ def plan_estimates(
     chances = (1.0 - rarity) * rows.share / rows.share.sum() + rarity * rows.wide / rows.wide.sum()
     if len(parts := parts[parts.sum(axis=1) > 0.0]):
         # The same for each boundary, however likely its outcome is.
-        uniform = _SCEPTICAL if sceptical else UNIFORM
+        uniform = max(_SCEPTICAL if sceptical else UNIFORM, min(unguided / m, _UNGUIDED))
         chances = uniform * chances + (1.0 - uniform) * _alike(parts)
     expected = expected_draws(chances, m, repeats=not repeatable)
     drawn = systematic(expected, np.lexsort((rng.random(len(expected)), z[0, first])), rng)

@@ -411,13 +411,14 @@ class Estimator:
             return lambda X: of_designs(question.designs(X))
 
         severity, learned = self.classifier.outcomes.index(outcome), boundaries("learned")
-        designs, repeatable = question.designs, self.classifier.repeatable
+        designs, repeatable, unguided = question.designs, self.classifier.repeatable, question.unguided
+        space = question.space
         if not self._is_shared(question):
 
             def only(X: Array) -> Array:
                 return learned(X)[:, severity - 1 : severity]
 
-            return plan_estimates([only], question.space, simulations, rng, None, designs, 0, repeatable, True)
+            return plan_estimates([only], space, simulations, rng, None, designs, 0, repeatable, True, unguided)
         ends = [] if self.classifier.unknown is None else [boundaries("none"), boundaries("all")]
         latent = self.classifier.latents[0]
 
@@ -427,7 +428,7 @@ class Estimator:
 
         beside = of_modes if isinstance(latent, SystemLatent) else None
         every = [learned, *ends]
-        plans = plan_estimates(every, question.space, simulations, rng, beside, designs, -1, repeatable)
+        plans = plan_estimates(every, space, simulations, rng, beside, designs, -1, repeatable, False, unguided)
         return plans[severity - 1 :]
 
 

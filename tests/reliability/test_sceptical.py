@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Plan, plan_estimate
+from activefail.reliability.estimate import Plan, plan_estimate, plan_estimates
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -91,6 +91,14 @@ def test_half_of_the_simulations_are_drawn_by_the_distribution_alone() -> None:
     assert sure.sum() == pytest.approx(0.5 * 200 * share, abs=3.0)
     assert plan.surest == (pytest.approx(200, abs=5), pytest.approx(2.0, rel=0.05))
     assert plan.probability == pytest.approx(norm.sf(LIMIT), rel=0.02)
+
+
+@pytest.mark.parametrize(("simulations", "share"), [(100, 0.7), (200, 0.35), (400, 0.3)])
+def test_as_many_as_stated_are_drawn_without_regard_to_the_classifier(simulations: int, share: float) -> None:
+    boundaries = [lambda X: latent(0.01)(X)[:, None]]
+    plan = plan_estimates(boundaries, SPACE, simulations, np.random.default_rng(0), unguided=70)[0]
+    sure = plan.standardised < -10.0
+    assert sure.sum() == pytest.approx(share * simulations * float(norm.cdf(LIMIT - 0.1)), abs=4.0)
 
 
 def test_no_design_of_a_space_is_drawn_twice_even_if_few_are_in_doubt() -> None:

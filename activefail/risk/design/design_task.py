@@ -47,6 +47,11 @@ SIZES = (100, 200, 400, 1000)
 _SPENT = 0.8
 """Share of what is left of the probability of a false result that each look spends (docs/decisions/0019)."""
 
+_UNGUIDED, _AFFORDED = 70, 0.1
+"""Simulations of a look that are drawn without regard to the classifier, and the target from which on. Of a third of
+this target that is hidden, 70 miss all in one look of ten. A rarer target takes fewer in proportion: as many would cost
+the look its accuracy and still find little (docs/decisions/0019)."""
+
 _POINTS_BEYOND = 25
 """Points of an integral that a probability at its target puts beyond the boundary."""
 
@@ -158,6 +163,11 @@ class DesignTask:
     def targets(self) -> Array:
         """The largest acceptable probabilities, (r,)."""
         return np.array([requirement.target for requirement in self.requirements])
+
+    @property
+    def unguided(self) -> int:
+        """Simulations of a look that are drawn without regard to the classifier."""
+        return round(_UNGUIDED * min(1.0, float(self.targets.max()) / _AFFORDED))
 
     @property
     def points(self) -> int:

@@ -245,7 +245,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
         if size not in imagined:
-            question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
+            question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED, task.unguided)
             plans = [estimator.plan(one.outcome, size, question) for one in task.requirements]
             widths = [plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans]
             imagined[size] = np.array(widths)
@@ -301,7 +301,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
                 break
         candidate = replace(candidate, model=exact(candidate))
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        draw = task.question.at(candidate.values).drawn(len(looks) + 1)
+        draw = task.question.at(candidate.values).drawn(len(looks) + 1, task.unguided)
         sampled = tuple(estimator.sample(one.outcome, simulations, draw) for one in task.requirements)
         look = Look(candidate, sampled, confidence_of_bound(task.confidence, len(looks)), simulations)
         looks.append(look)

@@ -40,6 +40,7 @@ def remember_design(store: Store, designed: Designed) -> None:
             "target": one.target,
             "free": {name: float(value) for name, value in designed.values.items()},
             "look": designed.number,
+            "unguided": designed.task.unguided,
             "confidence": designed.task.confidence,
         }
         for one in designed.task.requirements
@@ -52,7 +53,7 @@ def _entries(store: Store) -> list[dict[str, Any]]:
     """The entries of verified designs; what is none, in a stranger's record, is left out."""
     kept, shape = (
         store.recall(_IDENTITY),
-        {"outcome": str, "target": Real, "free": dict, "look": int, "confidence": Real},
+        {"outcome": str, "target": Real, "free": dict, "look": int, "unguided": int, "confidence": Real},
     )
     entries = [one for one in kept if fits(one, shape)] if isinstance(kept, list) else []
     known = [one for one in entries if 0 < one["look"] <= LOOKS]
@@ -79,7 +80,8 @@ def stored_designs(
                 continue
             at_design = question.at(entry["free"])
             of_bound = confidence_of_bound(entry["confidence"], entry["look"] - 1)
-            estimate = estimator.stored(requirement.outcome, at_design.drawn(entry["look"]), 2.0 * of_bound - 1.0)
+            draw = at_design.drawn(entry["look"], entry["unguided"])
+            estimate = estimator.stored(requirement.outcome, draw, 2.0 * of_bound - 1.0)
             if estimate is not None and verifies([estimate], [requirement.target]):
                 designs.append(StoredDesign(requirement, dict(at_design.fixed), estimate, entry["confidence"]))
                 break
