@@ -138,15 +138,15 @@ def task(name: str) -> Task:
             | {"classifier.learns": "outcomes"}
         )
         return Task(Campaign.of(settings, BUILDING.parent), None, 1_000, BUILDING.parent)
+    if name in mixed.PROBLEMS:
+        problem = replace(mixed.problem_of(name), shown=None)
+        sizes = {"sampling__initial": mixed.INITIAL, "sampling__budget": mixed.SIZES[-1], "sampling__batch": 5}
+        return Task(problem.campaign(**sizes), problem, mixed.FRESH)
     if name.startswith("bearing"):
         _, features, *budget = name.split("-")
         budget = int(budget[0]) if budget else 200
         sizes = {"sampling__initial": budget // 2, "sampling__budget": budget}
         return Task(campaign_of(classifier__features=features, **sizes), None, 5_000)
-    if name in mixed.PROBLEMS:
-        problem = replace(mixed.problem_of(name), shown=None)
-        sizes = {"sampling__initial": mixed.INITIAL, "sampling__budget": mixed.SIZES[-1], "sampling__batch": 5}
-        return Task(problem.campaign(**sizes), problem, mixed.FRESH)
     d, budget, batch, limit = LIMITS[name]
     space = standard(d) if name.startswith("branches") else variables(*[("uniform", 0.0, 1.0)] * d)
     problem = Problem(limit, space, shown=None)

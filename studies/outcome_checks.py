@@ -2,6 +2,7 @@
 
     python studies/outcome_checks.py                             the twelve problems, two seeds
     python studies/outcome_checks.py --problems RP22 --seeds 1   a quick look
+    python studies/outcome_checks.py --batch 5                   five simulations at a time, in a fifth of the time
     python studies/outcome_checks.py --table                     the tables of the finished campaigns
 
 At each of --sizes a campaign from outcomes, otherwise as in reliability.py, gives its classifier's probability and the
@@ -72,10 +73,10 @@ def checked(problem, campaign, history, m, repeats, rng):
     return found | {"fresh": fresh}
 
 
-def campaign_checked(name, seed, sizes, m, repeats):
+def campaign_checked(name, seed, sizes, m, repeats, batch):
     """A campaign's row."""
     problem = replace(problem_of(name, seed), shown=None)
-    campaign = stopping_campaign(problem, seed, budget=max(sizes))
+    campaign = stopping_campaign(problem, seed, batch=batch, budget=max(sizes))
     history, rng = in_memory(campaign).history, np.random.default_rng([seed, 3])
     checks = [checked(problem, campaign, history[:n], m, repeats, rng) for n in sizes]
     return {"true": problem.probability or true_probability(name), "checks": checks}
@@ -157,19 +158,20 @@ def main():
         sizes=[50, 70, 90, 120],
         fresh=30,
         repeats=4,
+        batch=1,
         cov=0.1,
         budget=150,
         table=False,
         out=Path("outcome_checks.jsonl"),
     )
     names = [name for word in options.problems for name in SETS.get(word, (word,))]
-    rows = Rows(options.out, fresh=options.fresh)
+    rows = Rows(options.out, fresh=options.fresh, batch=options.batch)
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for seed in () if options.table else range(options.first_seed, options.first_seed + options.seeds):
             for name in names:
                 if rows.lack(problem=name, seed=seed):
-                    arguments = name, seed, options.sizes, options.fresh, options.repeats
+                    arguments = name, seed, options.sizes, options.fresh, options.repeats, options.batch
                     row, seconds = timed(campaign_checked, *arguments)
                     rows.add(problem=name, seed=seed, seconds=seconds, **row)
                     print(name, seed, f"{seconds:.0f} s", flush=True)
