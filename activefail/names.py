@@ -2,7 +2,7 @@
 
 from typing import Literal, NamedTuple
 
-Criterion = Literal["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
+Criterion = Literal["joint_entropy", "entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
 """What ranks the candidates (`activefail.acquisition.criteria`)."""
 
 FeatureSet = Literal["paper", "design", "decorrelated", "sliding", "collision"]

@@ -11,23 +11,27 @@ Campaigns run the loop in memory, with the default classifier unless a problem s
 installed is left out. Finished campaigns are lines of --out and are not run again.
 
 Problems are in the unit cube, or in standard normal variables, and fail where their limit state is at most 0; or they
-are the bearing, with its features and 200 or 500 simulations, and the building. The same fresh designs score all
-methods of a problem, by --score: the share on the right side of the boundary, or the mean log probability of the true
-side. A cell of the table has the median over the seeds [% or hundredths of a nat] and the mean difference to the
---reference of the same seed with its 95 % interval [points]. The last rows have the worst mean difference of a problem
-and the worst difference of a seed, and the processor seconds of a campaign, as a median.
+are the bearing, with its features and 200 or 500 simulations, the building, or those of mixed.py (`--problems mixed`),
+40 designs after 20 in batches of five. The same fresh designs score all methods of a problem, by --score: the share on
+the right side of the boundary, or the mean log probability of the true side. A cell of the table has the median over
+the seeds [% or hundredths of a nat] and the mean difference to the --reference of the same seed with its 95 % interval
+[points]. The last rows have the mean difference over the problems, the worst mean difference of a problem and the worst
+of a seed, and the processor seconds of a campaign, as a median. A design is a near copy if another one of its batch
+lies within 1 % (or 5 %) of it: the root mean square over the scaled features, in units of their ranges.
 """
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import mixed
 import numpy as np
 import peers
 from problems import Problem, standard, variables
+from scipy.spatial.distance import cdist
 from study import Rows, asked, campaign_of, in_memory, markdown, timed, write_between
 
 from activefail.bearing import simulate
@@ -43,8 +47,9 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 
-METHODS = ("static", "entropy", "eavc", "static-continued", "entropy-continued", "gpc", "aepsych")
+METHODS = ("static", "entropy", "joint_entropy", "eavc", "static-continued", "entropy-continued", "gpc", "aepsych")
 BEGIN, END = "<!-- table of studies/criteria.py -->", "<!-- end of the table -->"
+NEAR = (1, 5)
 BUILDING = Path(__file__).resolve().parent.parent / "campaigns" / "building.toml"
 
 
@@ -133,6 +138,10 @@ def task(name: str) -> Task:
             | {"classifier.learns": "outcomes"}
         )
         return Task(Campaign.of(settings, BUILDING.parent), None, 1_000, BUILDING.parent)
+    if name in mixed.PROBLEMS:
+        problem = replace(mixed.problem_of(name), shown=None)
+        sizes = {"sampling__initial": mixed.INITIAL, "sampling__budget": mixed.SIZES[-1], "sampling__batch": 5}
+        return Task(problem.campaign(**sizes), problem, mixed.FRESH)
     if name.startswith("bearing"):
         _, features, *budget = name.split("-")
         budget = int(budget[0]) if budget else 200
@@ -145,22 +154,34 @@ def task(name: str) -> Task:
     return Task(problem.campaign(**sizes), problem, 20_000)
 
 
-PROBLEMS = (*LIMITS, "bearing-paper", "bearing-collision", "building-6d")
+PROBLEMS = (*LIMITS, "bearing-paper", "bearing-collision", "building-6d", *mixed.PROBLEMS)
 
 
 @cache
 def fresh(name: str) -> peers.Answers:
     """Fresh designs of a problem and their outcomes."""
+    if name in mixed.PROBLEMS:
+        X, failed = mixed.fresh(name)
+        return peers.Answers(X, failed, np.full(len(X), math.nan))
     n, space = task(name).fresh, task(name).base.space
     return task(name).answers(space.sobol(1 << (n - 1).bit_length(), np.random.default_rng(777))[:n])
 
 
+def near_copies(campaign: Campaign, history: History) -> dict[str, int]:
+    """The designs that were chosen in batches, and how many of them are near copies of another one of their batch."""
+    F = campaign.features(history.designs)
+    F = F / np.ptp(campaign.features(campaign.space.sobol(4096, np.random.default_rng(0))), axis=0) / F.shape[1] ** 0.5
+    batches = [F[history.iteration == iteration] for iteration in range(1, history.last_iteration + 1)]
+    nearest = np.concatenate([(cdist(of, of) + np.diag(np.full(len(of), np.inf))).min(axis=1) for of in batches])
+    return {"chosen": len(nearest)} | {f"near {p}": int((nearest < 0.01 * p).sum()) for p in NEAR}
+
+
 def failure_probability(name: str, method: str, seed: int) -> Any:
-    """What a campaign with a method has learned: a function of designs, (n, d) -> (n,)."""
+    """What a campaign with a method has learned, a function of designs, (n, d) -> (n,), and its near copies."""
     if method in peers.PEERS:
         campaign = task(name).campaign(seed=seed)
         peer = peers.learned(method, campaign, task(name).answers)
-        return lambda X: peer.probability(campaign.features(X))
+        return lambda X: peer.probability(campaign.features(X)), {}
     sampling, _, continued = method.partition("-")
     learning.STARTED_AFRESH = 0 if continued else STARTED_AFRESH
     campaign = task(name).campaign(seed=seed)
@@ -177,16 +198,17 @@ def failure_probability(name: str, method: str, seed: int) -> Any:
             X = None
             campaign = task(name).campaign(**{"seed": seed, "acquisition.criterion": sampling})
     if X is None:
-        classifier = in_memory(campaign).classifier
+        learned = in_memory(campaign)
+        classifier, near = learned.classifier, near_copies(campaign, learned.history)
     else:
-        classifier = learn_from(campaign, History.of_sample(X, campaign.simulator.run(X)))
-    return lambda X: classifier.latents[-1].moments(classifier.features(X)).probability
+        classifier, near = learn_from(campaign, History.of_sample(X, campaign.simulator.run(X))), {}
+    return lambda X: classifier.latents[-1].moments(classifier.features(X)).probability, near
 
 
 def scored(name: str, method: str, seed: int) -> dict[str, Any]:
     """One campaign: its scores, and its processor seconds."""
     test = fresh(name)
-    probability, seconds = timed(failure_probability, name, method, seed)
+    (probability, near), seconds = timed(failure_probability, name, method, seed)
     p = probability(test.X)
     return {
         "problem": name,
@@ -195,6 +217,7 @@ def scored(name: str, method: str, seed: int) -> dict[str, Any]:
         "accuracy": np.mean((p > 0.5) == test.failed),
         "log_score": log_score(probability_of_truth(p, test.failed)),
         "seconds": round(seconds, 2),
+        **near,
     }
 
 
@@ -220,9 +243,21 @@ def table(rows: Rows, problems: list[str], methods: list[str], reference: str, s
     lines = [
         [name, str(task(name).base.settings.sampling.budget), *(cell(name, m) for m in methods)] for name in problems
     ]
+    mean = [f"{np.mean(means[m]):+.2f}" if means[m] else "" for m in methods]
     worst = [f"{min(means[m]):+.1f}, {min(least[m]):+.1f}" if means[m] else "" for m in methods]
+
+    def near(method: str, percent: int) -> str:
+        of = [rows.of(problem=name, method=method) for name in problems]
+        counts = [[(row[f"near {percent}"], row["chosen"]) for row in one if "chosen" in row] for one in of]
+        sums = np.array([np.sum(one, axis=0) for one in counts if one])
+        if not len(sums):
+            return ""
+        return f"{100.0 * sums[:, 0].sum() / sums[:, 1].sum():.1f}, {(100.0 * sums[:, 0] / sums[:, 1]).max():.1f}"
+
     seconds = [f"{np.median([row['seconds'] for row in rows.of(method=m)] or [np.nan]):.1f}" for m in methods]
-    ends = [["worst problem, worst seed", "", *worst], ["seconds of a campaign", "", *seconds]]
+    copies = [[f"near copies within {p} % [%]: all, worst problem", "", *(near(m, p) for m in methods)] for p in NEAR]
+    ends = [["mean", "", *mean], ["worst problem, worst seed", "", *worst], *copies]
+    ends.append(["seconds of a campaign", "", *seconds])
     return markdown(["problem", "simulations", *methods], lines + ends)
 
 
@@ -239,6 +274,7 @@ def main() -> None:
         score="accuracy",
         write=Path,
     )
+    options.problems = [one for name in options.problems for one in (mixed.PROBLEMS if name == "mixed" else [name])]
     rows, left_out = Rows(options.out), set()
     for seed in [] if options.table else range(options.first_seed, options.first_seed + options.seeds):
         for name in options.problems:

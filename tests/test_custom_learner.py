@@ -35,7 +35,7 @@ LIMIT = 'def run(v):\n    return "failure" if v["x"] ** 2 / 9 + v["y"] ** 2 / 4 
 CASES = {
     "kernel": ('kernel = { python = "mine:kernel" }', '"eavc"'),
     "likelihood": ('kernel = "matern52"\nlikelihood = { python = "mine:Robust" }', '"entropy"'),
-    "model": ('model = { python = "mine:model" }', '"entropy"'),
+    "model": ('model = { python = "mine:model" }', '"joint_entropy"'),
     "criterion": ('kernel = "matern52"', '{ python = "mine:Near" }'),
     "integrated": ('model = { python = "mine:model" }', '{ python = "mine:integrated" }'),
     "BoTorch's": ("", '{ python = "botorch.acquisition.analytic:PosteriorStandardDeviation" }'),

@@ -347,7 +347,7 @@ def test_the_settings_that_a_page_recommends_are_settings():
     campaign |= {"stop": {"probability": "failure"}}
     assert checked(CampaignSettings, campaign, "docs/which.md").acquisition.criterion == "eavc"
     defaults = CampaignSettings()
-    assert (defaults.acquisition.criterion, defaults.acquisition.exploration) == ("entropy", 0.0)
+    assert (defaults.acquisition.criterion, defaults.acquisition.exploration) == ("joint_entropy", 0.0)
     shipped = tomllib.loads((ROOT / "campaigns" / "bearing.toml").read_text(encoding="utf-8"))
     assert shipped["classifier"] == {"features": "collision", "kernel": "matern52"}
     assert shipped["acquisition"] == {"criterion": "eavc", "boundary": {"failure": 0.7, "impact": 0.3}}

@@ -810,7 +810,7 @@ class AcquisitionSettings(Section):
 
     criterion: Annotated[
         Annotated[Criterion, Tag(NAME)] | Annotated[PythonSettings, Tag(f"{WITH}python")], by_key(KINDS["criterion"])
-    ] = "entropy"
+    ] = "joint_entropy"
     boundary: str | dict[str, float] = "failure"
     exploration: float = Field(0.0, ge=0.0, le=1.0)
 

@@ -339,6 +339,18 @@ def keeping(model: Model, *points: Tensor) -> AbstractContextManager[None]:
     return model.keeping(*points) if isinstance(model, BoundaryModel | SystemModel) else nullcontext()
 
 
+def share_left(model: Model, F: Tensor) -> Tensor:
+    """Share of the latent's variance at scaled features, (n, m), that its values at the fantasised points leave, (n,).
+
+    It is 1 without such points, and for a model of the user's.
+    """
+    strategy = model.strategy if isinstance(model, BoundaryModel) else None
+    if not isinstance(strategy, _Fantasy):
+        return torch.ones(len(F), dtype=torch.float64)
+    before, exact = strategy.before, _Fantasy(strategy.before, strategy.support, torch.zeros_like(strategy.noise))
+    return (exact.marginals(F)[1] / before.marginals(F)[1]).clamp_max(1.0)
+
+
 def fantasised(model: Model, P: Tensor) -> Model:
     """The model after observations at features P, (p, m), whose values are not known: of the means.
 

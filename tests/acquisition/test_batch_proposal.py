@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from activefail.acquisition.batch_proposal import (
 )
 from activefail.acquisition.criteria import criterion
 from activefail.features import feature_map
+from activefail.names import Criterion
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
 from activefail.surrogate.boundary_gp import fantasised
@@ -96,10 +98,37 @@ def test_a_batch_does_not_pile_up(learned):
     assert np.median(nearest(designs)) > 3.0 * np.median(nearest(greediest))
 
 
-def test_a_batch_by_entropy_is_spread_along_the_boundary(learned):
-    designs = propose(learned.latent("in"), learned.features, SPACE, ENTROPY, 8, np.random.default_rng(3))
+@pytest.mark.parametrize("name", ["entropy", "joint_entropy"])
+def test_a_batch_by_entropy_is_spread_along_the_boundary(learned, name):
+    designs = propose(learned.latent("in"), learned.features, SPACE, criterion(name), 8, np.random.default_rng(3))
     # Eight random points of a curve of length L have their nearest neighbour at about L/16; a pile has it at once.
     assert np.mean(nearest(designs)) > 0.3 * (2.0 * np.pi * 0.35 / 16.0)
+
+
+def test_a_batch_by_joint_entropy_begins_as_one_by_entropy_and_holds_no_near_copies_even_of_labels_that_are_noise():
+    X = SPACE.latin_hypercube(30, np.random.default_rng(2))
+    noisy = learned_from(X, np.random.default_rng(3).random(30) < 0.5).latent("in")
+
+    def batch(name, q):
+        return propose(noisy, FEATURES, SPACE, criterion(name), q, np.random.default_rng(4))
+
+    assert batch("joint_entropy", 1).tobytes() == batch("entropy", 1).tobytes()
+    assert batch("joint_entropy", 8)[0].tobytes() == batch("entropy", 1)[0].tobytes()
+    assert nearest(batch("joint_entropy", 8)).min() > 0.05 > 0.01 > nearest(batch("entropy", 8)).min()
+
+
+def test_a_batch_by_joint_entropy_counts_the_entropy_that_exact_values_of_the_earlier_designs_leave(learned):
+    model, F = learned.latent("in").model, drawn(40, 2)
+    chosen = best_batch(on("joint_entropy", None), model, F, 3)
+    covariance = model.joint(F)[1].numpy()
+    earlier = chosen[:2]
+    explained = covariance[:, earlier] @ np.linalg.solve(covariance[np.ix_(earlier, earlier)], covariance[earlier])
+    left = np.maximum(1.0 - explained.diagonal() / covariance.diagonal(), 1e-9)
+    after = fantasised(fantasised(model, F[earlier[:1]]), F[earlier[1:]])
+    z = criteria.entropy(*after.moments(F)).numpy()
+    value = criteria._SHARED * np.log(left) - z**2 / (np.pi * np.log(2.0))
+    value[earlier] = -np.inf
+    assert chosen[2] == np.argmax(value)
 
 
 def test_proposals_lie_in_the_space_and_near_the_learned_boundary(learned):
@@ -157,7 +186,7 @@ def test_a_batch_by_global_information_tells_more_of_the_whole_space_than_one_by
     assert ahead > 1.2 * greedy
 
 
-@pytest.mark.parametrize("name", ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"])
+@pytest.mark.parametrize("name", get_args(Criterion))
 def test_every_criterion_proposes_distinct_designs_of_the_space_and_the_same_ones_again(learned, name):
     first, repeated = (
         propose(learned.latent("in"), learned.features, SPACE, criterion(name), 5, np.random.default_rng(8))
@@ -169,7 +198,7 @@ def test_every_criterion_proposes_distinct_designs_of_the_space_and_the_same_one
     assert len(np.unique(first, axis=0)) == 5
 
 
-@pytest.mark.parametrize("name", ["bald", "straddle", "eavc", "globalmi"])
+@pytest.mark.parametrize("name", ["joint_entropy", "bald", "straddle", "eavc", "globalmi"])
 def test_designs_in_flight_are_not_proposed_again(learned, name):
     latent, features = learned.latent("in"), learned.features
 

@@ -4,7 +4,7 @@ import math
 import os
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import hypothesis
 import numpy as np
@@ -19,6 +19,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign, shipped_campaigns
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings, read_toml
 from activefail.errors import InputError
+from activefail.names import Criterion
 from activefail.simulators.user_code import digest_without_running
 
 SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
@@ -363,7 +364,7 @@ valid = st.fixed_dictionaries(
         "acquisition": st.fixed_dictionaries(
             {},
             optional={
-                "criterion": st.sampled_from(["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]),
+                "criterion": st.sampled_from(get_args(Criterion)),
                 "boundary": texts | st.dictionaries(texts, finite.filter(lambda w: w > 0.0), min_size=1, max_size=3),
                 "exploration": st.floats(0.0, 1.0),
             },

@@ -289,7 +289,7 @@ def test_a_search_from_outcomes_alone_proposes_designs_of_twice_the_standard_dev
     """
     settings = parse_settings(text, "made.toml")
     assert settings.acquisition.criterion == "eavc"
-    assert parse_settings(text.replace("stop", "# stop"), "made.toml").acquisition.criterion == "entropy"
+    assert parse_settings(text.replace("stop", "# stop"), "made.toml").acquisition.criterion == "joint_entropy"
     chosen = []
     for rule in ({"probability": "failure"}, None):
         campaign = campaign_on(
