@@ -215,19 +215,17 @@ def test_an_error_is_that_of_the_designs_that_exist() -> None:
     assert expected_error(campaign, learned.classifier) < expected_error(campaign, everywhere)
 
 
-def test_a_verification_hardly_simulates_designs_that_probably_do_not_exist() -> None:
+def test_of_a_simulator_that_does_not_repeat_hardly_any_designs_that_probably_do_not_exist_are_simulated() -> None:
     # Half of the designs do not exist; from outcomes the classifier is never sure which, nor of what they would give.
+    solver = Noisy(margins=(), impossible=(0,), at=0.3, below=0.0)
     noise = {"simulator": {"python": "made:run", "repeatable": False}}
-    for kind, changes in ((Dies, {}), (Noisy, noise)):
-        solver = kind(margins=(), impossible=(0,), at=0.3, below=0.0)
-        campaign, store, learned = taken(solver, sampling__budget=80, **changes)
-        with ThreadExecutor(1) as executor, one_thread():
-            last = History.of(store.batches).last_iteration
-            estimator = Estimator(campaign, store, executor, learned.classifier, last)
-            found = (verify_surface if changes else verify)(estimator, 200, 0.9)
-        numbers = found.as_json()
-        assert (numbers["simulations"] + numbers["nonexistent"], numbers["numerical_failures"]) == (200, 0)
-        assert 0 < numbers["nonexistent"] <= 60
+    campaign, store, learned = taken(solver, sampling__budget=80, **noise)
+    with ThreadExecutor(1) as executor, one_thread():
+        last = History.of(store.batches).last_iteration
+        estimator = Estimator(campaign, store, executor, learned.classifier, last)
+        numbers = verify_surface(estimator, 200, 0.9).as_json()
+    assert (numbers["simulations"] + numbers["nonexistent"], numbers["numerical_failures"]) == (200, 0)
+    assert 0 < numbers["nonexistent"] <= 60
 
 
 def test_a_design_that_does_not_exist_is_predicted_to_be_so(tmp_path: Path) -> None:

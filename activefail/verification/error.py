@@ -6,6 +6,7 @@ measure (`StratifiedCount`). Only fresh simulations count: training designs reve
 has missed, even if each is left out in turn.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""
-
-_EXISTS = 0.1
-"""Probability of existence below which the classifier is sure that a design does not exist. Learned from tens of runs,
-it seldom comes nearer to 0."""
 
 POOL = 2**14
 """Random designs that estimate the parts' volumes."""
@@ -114,7 +111,8 @@ class Verification:
         predicted: (n,) bool, whether the classifier puts the design beyond the boundary.
         volumes: (5,) of the parts, as shares of the designs that exist by the classifier.
         expected: (5,) the classifier's mean probability of being wrong in each part.
-        pool: number of random designs that estimated the volumes.
+        pool: number of random designs that estimated the volumes; of those that may not exist, the sum of their
+            probabilities.
     """
 
     designs: Array
@@ -128,7 +126,8 @@ class Verification:
 def planned(estimator: "Estimator", simulations: int) -> Verification:
     """The plan that verifies a classifier: fresh designs, random within each part.
 
-    Designs of which the classifier is sure that they do not exist are left out.
+    None is left out because it probably does not exist: the classifier may be wrong about that, too, and where it never
+    saw a result it is wrong most often.
     """
     campaign, (pool, existence) = estimator.campaign, pool_of(estimator, POOL)
     moments = estimator.classifier.latents[campaign.severity - 1].moments(campaign.features(pool))
@@ -143,16 +142,14 @@ def planned(estimator: "Estimator", simulations: int) -> Verification:
     volumes, expected = of_parts / existence.sum(), doubts / np.where(of_parts > 0.0, of_parts, 1.0)
     numbers = np.minimum(allotted(volumes, expected, simulations), counts)
     rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
-    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected, len(pool))
+    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected, math.ceil(existence.sum()))
 
 
 def pool_of(estimator: "Estimator", n: int) -> tuple[Array, Array]:
-    """At most n random designs, with the probability that each exists; without those that surely do not."""
+    """n random designs, (n, d), and the probability that each exists, (n,)."""
     campaign = estimator.campaign
     X = campaign.space.random(n, stream(campaign.settings.seed, "verification", estimator.iteration))
-    existence = estimator.classifier.existence(X)
-    exists = existence >= _EXISTS
-    return (X[exists], existence[exists]) if exists.any() else (X, existence)
+    return X, estimator.classifier.existence(X)
 
 
 def existing(campaign: Campaign, results: Results) -> NDArray[np.bool_]:

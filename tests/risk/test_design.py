@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from operator import itemgetter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from activefail.risk.design.required_chart import least_value, required_chart
 from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
 from activefail.run import Run
 from activefail.shares import percent
-from activefail.space import Array, DesignSpace
+from activefail.space import Array, Constraint, DesignSpace
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Sampled
 
@@ -406,6 +407,66 @@ def test_a_target_is_out_of_reach_if_all_ends_of_the_range_exceed_it() -> None:
     assert (found.status, found.values["capacity"]) == ("out of reach", 1.5)
     assert [look.candidate.values["capacity"] for look in found.looks] == [1.5, 0.5]
     assert all(look.above(np.array([0.05])).all() for look in found.looks)
+
+
+@dataclass
+class Dip(MadeEstimator):
+    """Its classifier is right: failure is less probable around one value, between two of the grid of a line."""
+
+    def standardised(self, outcome: str) -> Callable[[Array], Array]:
+        return lambda X: (np.log(X[:, 3]) - self.strength(X)) / self.sd
+
+    @staticmethod
+    def strength(X: Array) -> Array:
+        return np.asarray(0.1 + 0.6 * np.exp(-(((X[:, 0] - 3.03) / 0.12) ** 2)))
+
+    def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+        plan = self.plan(outcome, simulations, question)
+        X = question.designs(plan.designs)
+        return Sampled(plan, np.log(X[:, 3]) > self.strength(X), np.ones(len(X), dtype=bool))
+
+
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_a_target_that_is_met_between_two_values_of_the_grid_is_not_called_out_of_reach(step: float | None) -> None:
+    stepped = {} if step is None else {"capacity": Parameter("capacity", 0.5, 6.0, step=step)}
+    task = replace(task_of(question_of(), 0.07, 1000), stepped=stepped)
+    found = find_design(Dip(1.0, 0.02, 0), task)  # type: ignore[arg-type]
+    assert found.status == "verified"
+    assert found.values["capacity"] == pytest.approx(3.03, abs=0.08)
+
+
+def constrained(task: DesignTask, most: float) -> DesignTask:
+    """The task with a constraint on the capacity, which it calls feasible if it is no larger."""
+    limit = Constraint("capacity", frozenset({"capacity"}), itemgetter("capacity"), lambda _: most, False)
+    campaign = SimpleNamespace(space=SimpleNamespace(quantities=dict))
+    return replace(task, constraints=(limit,), asked=Inquiry(campaign, task.question))  # type: ignore[arg-type]
+
+
+def test_a_design_up_to_the_limit_of_a_constraint_is_found_between_two_values_of_the_grid() -> None:
+    # The grid has 1.875, which fails with 5.8 %, and 2.33, which is not allowed.
+    task = constrained(task_of(question_of(), 0.045, 1000), 2.2)
+    found = find_design(MadeEstimator(1.0, 0.02, 0), task)  # type: ignore[arg-type]
+    assert found.status == "verified"
+    assert 1.97 < found.values["capacity"] <= 2.2
+
+
+def test_a_target_is_not_out_of_reach_where_a_constraint_excludes_an_end_of_the_range() -> None:
+    found = find_design(Reversed(1.0, 0.1, 0), constrained(task_of(question_of(), 0.1, 1000), 5.0))  # type: ignore[arg-type]
+    assert [look.candidate.values["capacity"] for look in found.looks] == [0.5]
+    assert found.status == "not verified"
+
+
+def test_constraints_that_no_value_meets_are_refused_before_anything_is_simulated() -> None:
+    with pytest.raises(InputError, match="constraints: no value of capacity was found that meets them"):
+        find_design(MadeEstimator(1.0, 0.1, 0), constrained(task_of(question_of()), 0.1))  # type: ignore[arg-type]
+
+
+def test_the_safest_of_the_designs_that_exceed_a_target_is_the_result() -> None:
+    # The end with 0.5 is looked at last.
+    task = constrained(task_of(question_of(), 0.03), 1.5)
+    found = find_design(MadeEstimator(1.0, 0.1, 0), task)  # type: ignore[arg-type]
+    assert [look.candidate.values["capacity"] for look in found.looks] == pytest.approx([1.5, 0.5], abs=0.01)
+    assert (found.status, found.number) == ("not verified", 1)
 
 
 def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:

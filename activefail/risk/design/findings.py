@@ -235,8 +235,8 @@ class DesignFindings:
             case "not verified" if designed.is_above and not designed.result.candidate.is_feasible:
                 return (
                     "Not verified: according to the classifier, no design within the ranges meets the target. Of the "
-                    "nearest one, shown here, even a lower bound from fresh simulations exceeds it. The classifier may "
-                    "be wrong elsewhere: continue the campaign, then search again."
+                    "safest one looked at, shown here, even a lower bound from fresh simulations exceeds it. The "
+                    "classifier may be wrong elsewhere: continue the campaign, then search again."
                 )
             case "not verified":
                 return (
@@ -246,8 +246,8 @@ class DesignFindings:
             case _:
                 return (
                     "Out of reach: according to the classifier, no design within the ranges meets the target. Fresh "
-                    "simulations confirm this at all ends of the ranges: even a lower bound exceeds it at the safest, "
-                    "shown here."
+                    "simulations confirm this of the nearest one and at all ends of the ranges: even a lower bound "
+                    "exceeds it at the safest of them, shown here."
                 )
 
     @property

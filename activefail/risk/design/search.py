@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
+from activefail.errors import InputError
 from activefail.progress import Stage, silent
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.classifier_probability import classifier_probability
@@ -127,7 +128,8 @@ class Designed:
     Attributes:
         task: what was asked.
         looks: at candidates, in the order in which they were proposed.
-        number: of the look at the result, from 1 on: the cheapest verified design, or else the last look.
+        number: of the look at the result, from 1 on: the cheapest verified design; or else the last look, or the safest
+            if no design meets the targets by the classifier, and simulations show that the nearest exceeds one.
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
             classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
             simulations show that those at all ends of the ranges exceed a target.
@@ -199,6 +201,11 @@ Model = Callable[[Mapping[str, float], int], Array]
 """The classifier's probability of each requirement's outcome, (r,), at values of the free variables, by some points."""
 
 
+def _has_designs(task: DesignTask, values: Mapping[str, float]) -> bool:
+    """Whether values of the free variables leave designs that meet the constraints."""
+    return task.allows(values) and task.question.at(values).has_designs
+
+
 def _model_of(estimator: Estimator, task: DesignTask) -> Model:
     known: dict[tuple[object, ...], Array] = {}
     standardised = [estimator.standardised(one.outcome) for one in task.requirements]
@@ -209,7 +216,7 @@ def _model_of(estimator: Estimator, task: DesignTask) -> Model:
             question = task.question.at(values)
             known[key] = (
                 np.array([classifier_probability(of, question, points) for of in standardised])
-                if task.allows(values) and question.has_designs
+                if _has_designs(task, values)
                 else np.ones(len(standardised))  # meets no target
             )
         return known[key]
@@ -235,6 +242,9 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     refuted: list[Look] = []
     verified: list[tuple[float, int]] = []
     imagined: dict[int, Array] = {}
+    nearest = cheapest(task, model, task.targets).values
+    if not _has_designs(task, nearest):
+        raise InputError(f"constraints: no value of {', '.join(task.free)} was found that meets them.")
 
     def half_widths(size: int) -> Array:
         """Expected half widths of the intervals of the next look with so many simulations, (r,)."""
@@ -245,7 +255,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
         if size not in imagined:
-            question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED, task.unguided)
+            question = task.question.at(nearest).drawn(_IMAGINED, task.unguided)
             plans = [estimator.plan(one.outcome, size, question) for one in task.requirements]
             widths = [plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans]
             imagined[size] = np.array(widths)
@@ -282,7 +292,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         question = task.question.at(candidate.values)
         return np.array([estimator.probability(one.outcome, question) for one in task.requirements])
 
-    ends, last = list[dict[str, float]](), 0
+    status: Literal["not verified", "out of reach"] = "not verified"
+    ends, last, shown = list[dict[str, float]](), 0, 0
     while len(looks) < LOOKS and (sizes := task.sizes(sum(one.size for one in looks), last)):
         stage(f"searching for the design of look {len(looks) + 1}")
         simulations = needed(sizes)
@@ -305,7 +316,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         sampled = tuple(estimator.sample(one.outcome, simulations, draw) for one in task.requirements)
         look = Look(candidate, sampled, confidence_of_bound(task.confidence, len(looks)), simulations)
         looks.append(look)
-        last = simulations
+        last, shown = simulations, len(looks)
         if look.above(task.targets).any():
             refuted.append(look)
         if verifies(look.estimates, task.targets.tolist()):
@@ -315,24 +326,26 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             break
         # Of the nearest design even a lower bound exceeds a target: only the ends of the ranges may still help.
         if not candidate.is_feasible and look in refuted:
+            shown = 1 + looks.index(min(refuted, key=lambda one: max(one.ratios(task.targets))))
             ends = [] if task.choices else _ends(task, [one.candidate.values for one in refuted])
-            if not ends and len(_sides(task, candidate.values)) == len(task.free):
-                safest = min(refuted, key=lambda one: max(one.ratios(task.targets)))
-                return Designed(task, tuple(looks), 1 + looks.index(safest), "out of reach")
+            if not (ends or task.choices):
+                status = "out of reach"
+            # Where constraints leave out an end, what they do allow may still help.
+            ends = [end for end in ends if _has_designs(task, end)]
             if not ends:
                 break
             # A look at another end need not be larger.
             last = 0
     if verified:
         return Designed(task, tuple(looks), min(verified)[1], "verified")
-    return Designed(task, tuple(looks), len(looks), "not verified")
+    return Designed(task, tuple(looks), shown, status)
 
 
 def _ends(task: DesignTask, refuted: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """The ends of the ranges of all free variables, which have no choices, that constraints allow; without some."""
+    """The ends of the ranges of all free variables, which have no choices, without some."""
     corners = itertools.product(*zip(task.low.values(), task.high.values(), strict=True))
     ends = [dict(zip(task.free, corner, strict=True)) for corner in corners]
-    return [end for end in ends if end not in refuted and task.allows(end) and task.question.at(end).has_designs]
+    return [end for end in ends if end not in refuted]
 
 
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
@@ -487,11 +500,22 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
     if steps is not None:
         steps = steps[[task.allows({name: x, **held}) for x in steps.tolist()]] if task.constraints else steps
         steps = steps if len(steps) else task.stepped[name].values[:1]  # infeasible
-        places = np.unique(np.linspace(0, len(steps) - 1, size).round().astype(np.int_))
-        grid = steps[places]
-    else:
-        grid = np.linspace(low, high, size)
-    excesses = np.array([excess(float(x)) for x in grid])
+
+    def at(place: float) -> float:
+        """The value at a place, which is the number of a step, or the value itself."""
+        return float(place) if steps is None else float(steps[round(place)])
+
+    places = np.linspace(low, high, size) if steps is None else np.unique(np.linspace(0, len(steps) - 1, size).round())
+    grid = np.array([at(place) for place in places])
+    excesses = np.array([excess(x) for x in grid.tolist()])
+    if excesses.min() > 0.0 and not coarse:
+        # A dip of the probability, or the limit of a constraint, may lie between two values.
+        beside = np.clip(int(np.argmin(excesses)) + np.array([-1, 1]), 0, len(places) - 1)
+        near = {"xatol": 0.5 if steps is not None else _FINE * (high - low)}
+        of = minimize_scalar(lambda u: excess(at(u)), bounds=places[beside], method="bounded", options=near)
+        places = np.union1d(places, of.x if steps is None else round(of.x))
+        grid = np.array([at(place) for place in places])
+        excesses = np.array([excess(x) for x in grid.tolist()])
     if excesses.min() > 0.0:
         x = float(grid[np.argmin(excesses)])
         return Candidate({name: x, **held}, probabilities(x), is_feasible=False)
