@@ -128,6 +128,8 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     for beyond, probability in true.items():
         outcome = beyond.split()[0]
         command = ("probability", run, "--code", tmp_path, "--outcome", outcome, "--simulations", "40")
+        # An interval of 90 % would miss one of two too often for a test.
+        command += ("--confidence", "0.99")
         result = activefail(*command)
         assert result.code == 0, result.err
         assert f"probability of {beyond} under a <worse> site: 0." in result.out
