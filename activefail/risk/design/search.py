@@ -242,6 +242,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     refuted: list[Look] = []
     verified: list[tuple[float, int]] = []
     imagined: dict[int, Array] = {}
+    searching = "searching for the design of look {}"
+    stage(searching.format(1))
     nearest = cheapest(task, model, task.targets).values
     if not _has_designs(task, nearest):
         raise InputError(f"constraints: no value of {', '.join(task.free)} was found that meets them.")
@@ -295,7 +297,8 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     status: Literal["not verified", "out of reach"] = "not verified"
     ends, last, shown = list[dict[str, float]](), 0, 0
     while len(looks) < LOOKS and (sizes := task.sizes(sum(one.size for one in looks), last)):
-        stage(f"searching for the design of look {len(looks) + 1}")
+        if looks:
+            stage(searching.format(len(looks) + 1))
         simulations = needed(sizes)
         aims = aims_of(simulations)
         candidate = cheapest(task, model, aims)
