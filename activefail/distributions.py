@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,122 +24,111 @@ Distribution = Literal[
     "exponential",
 ]
 
-NATURAL_PARAMETERS: dict[Distribution, tuple[str, ...]] = {
-    "lognormal": ("median", "dispersion"),
-    "gumbel_max": ("location", "scale"),
-    "gumbel_min": ("location", "scale"),
-    "weibull": ("shape", "scale"),
-    "gamma": ("shape", "scale"),
-    "beta": ("alpha", "beta"),
-    "exponential": ("rate",),
+
+_BY_MEAN = ("mean", "sd"), ("mean", "cov")
+
+
+class Family(NamedTuple):
+    """What a family of distributions takes.
+
+    Attributes:
+        words: its name in a sentence.
+        sets: alternative sets of parameters: each one defines the distribution between its bounds. `dispersion` is the
+            standard deviation of the logarithm, and `location` of a Gumbel distribution its mode.
+        is_bounded: whether it needs both bounds.
+        is_positive: whether its values are.
+        cov: coefficients of variation between which SciPy's quantiles are accurate in both tails.
+    """
+
+    words: str
+    sets: tuple[tuple[str, ...], ...] = _BY_MEAN
+    is_bounded: bool = False
+    is_positive: bool = False
+    cov: tuple[float, float] = (0.0, math.inf)
+
+
+FAMILIES: dict[Distribution, Family] = {
+    "uniform": Family("uniform", ((),), is_bounded=True),
+    "log_uniform": Family("log-uniform", ((),), is_bounded=True),
+    "truncated_normal": Family("truncated normal", is_bounded=True),
+    "normal": Family("normal"),
+    "lognormal": Family("lognormal", (*_BY_MEAN, ("median", "dispersion")), is_positive=True, cov=(1e-6, 1e3)),
+    "gumbel_max": Family("Gumbel (max)", (*_BY_MEAN, ("location", "scale"))),
+    "gumbel_min": Family("Gumbel (min)", (*_BY_MEAN, ("location", "scale"))),
+    "weibull": Family("Weibull", (*_BY_MEAN, ("shape", "scale")), is_positive=True, cov=(1e-3, 100.0)),
+    "gamma": Family("gamma", (*_BY_MEAN, ("shape", "scale")), is_positive=True, cov=(1e-3, 3.0)),
+    "beta": Family("beta", (*_BY_MEAN, ("alpha", "beta")), is_bounded=True),
+    "exponential": Family("exponential", (("mean",), ("rate",)), is_positive=True, cov=(1.0, 1.0)),
 }
-"""Parameters that define a distribution without mean and sd.
 
-`dispersion` is the standard deviation of the logarithm. `location` of a Gumbel distribution is its mode.
-"""
-
-BOUNDED = ("uniform", "log_uniform", "truncated_normal", "beta")
-"""Distributions that need both bounds."""
-
-POSITIVE = ("lognormal", "weibull", "gamma", "exponential")
-"""Distributions of positive variables."""
-
-_BY_BOUNDS_ALONE = ("uniform", "log_uniform")
-
-_IN_WORDS = {
-    "log_uniform": "log-uniform",
-    "gumbel_max": "Gumbel (max)",
-    "gumbel_min": "Gumbel (min)",
-    "weibull": "Weibull",
-}
-
-
-def in_words(distribution: Distribution) -> str:
-    """The distribution's name in a sentence."""
-    return _IN_WORDS.get(distribution, distribution.replace("_", " "))
-
-
-PARAMETERS = ("mean", "sd", "cov", *dict.fromkeys(name for names in NATURAL_PARAMETERS.values() for name in names))
+PARAMETERS = tuple(dict.fromkeys(name for family in FAMILIES.values() for names in family.sets for name in names))
 """Names of all parameters of distributions."""
 
 _LARGEST = 1e100
 """Largest mean and sd."""
 
-_COV = {"lognormal": (1e-6, 1e3), "weibull": (1e-3, 100.0), "gamma": (1e-3, 3.0), "exponential": (1.0, 1.0)}
-"""Coefficients of variation between which SciPy's quantiles are accurate in both tails."""
-
 _BETA_SHAPES = (0.5, 500.0)
-"""Range of a beta distribution's shapes, for the same reason."""
+"""Range of a beta distribution's shapes between which SciPy's quantiles are accurate in both tails."""
 
 _LEAST_SHAPE, _LARGEST_SHAPE = 0.1, 1e4
-"""Range of a Weibull distribution's shape that holds these coefficients of variation."""
+"""Range of a Weibull distribution's shape that holds its coefficients of variation."""
 
 
-def sets_of_parameters(distribution: Distribution) -> tuple[tuple[str, ...], ...]:
-    """The alternative sets of parameters: each one defines the distribution between its bounds."""
-    if distribution in _BY_BOUNDS_ALONE:
-        return ((),)
-    by_mean = (("mean",),) if distribution == "exponential" else (("mean", "sd"), ("mean", "cov"))
-    return (*by_mean, *((NATURAL_PARAMETERS[distribution],) if distribution in NATURAL_PARAMETERS else ()))
-
-
-def parameters_fault(
+def checked_moments(
     distribution: Distribution, low: float | None, high: float | None, parameters: Mapping[str, float]
-) -> str:
-    """Why bounds and parameters do not define a distribution; empty if they do.
+) -> tuple[float | None, float | None]:
+    """Mean and standard deviation (see `moments`) of a distribution; None for one by its bounds alone.
 
     Args:
         distribution: name of the distribution.
         low, high: bounds of the variable, if any.
         parameters: the numbers by name.
+
+    Raises:
+        ValueError: if bounds and parameters do not define a distribution; the text is the rule and the value.
     """
-    sets = sets_of_parameters(distribution)
-    name = f"{'an' if distribution == 'exponential' else 'a'} {in_words(distribution)} distribution"
-    if set(parameters) not in map(set, sets):
-        needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in sets if names)
+    family = FAMILIES[distribution]
+    name = f"{'an' if distribution == 'exponential' else 'a'} {family.words} distribution"
+    if set(parameters) not in map(set, family.sets):
+        needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in family.sets if names)
         needs = f"{name} requires {needed}" if needed else f"{name} takes only `low` and `high`"
         shown = " and ".join(f"`{key} = {number:g}`" for key, number in parameters.items()) or "none of them"
-        return f"{needs}; got {shown}"
-    if distribution in BOUNDED and (low is None or high is None):
-        return f"{name} requires `low` and `high`"
+        raise ValueError(f"{needs}; got {shown}")
+    if family.is_bounded and (low is None or high is None):
+        raise ValueError(f"{name} requires `low` and `high`")
     for key, number in parameters.items():
         if not math.isfinite(number):
-            return f"`{key}` must be finite, got {number}"
-        positive = key not in ("mean", "location") or (key == "mean" and distribution in POSITIVE)
-        if positive and not number > 0.0:
-            return f"`{key} > 0` must hold, got {number}"
+            raise ValueError(f"`{key}` must be finite, got {number}")
+        if not number > 0.0 and (family.is_positive if key == "mean" else key != "location"):
+            raise ValueError(f"`{key} > 0` must hold, got {number}")
+    if family.is_positive and low is not None and low < 0.0:
+        raise ValueError(f"`low >= 0` must hold for {name}, got {low}")
+    if not parameters:
+        return None, None
     if "cov" in parameters and parameters["mean"] == 0.0:
-        return "a coefficient of variation requires a mean other than 0"
-    if parameters:
-        try:
-            mean, sd = moments(distribution, low, high, parameters)
-        except OverflowError:
-            mean = sd = math.inf
-        if not (abs(mean) <= _LARGEST and sd <= _LARGEST):
-            return f"mean and sd must be at most {_LARGEST:g}, got {mean:g} and {sd:g}"
-        if sd < 1.0 / _LARGEST:
-            return f"the sd must be at least {1.0 / _LARGEST:g}, got {sd:g}"
-    if distribution in POSITIVE and low is not None and low < 0.0:
-        return f"`low >= 0` must hold for {name}, got {low}"
+        raise ValueError("a coefficient of variation requires a mean other than 0")
+    try:
+        mean, sd = moments(distribution, low, high, parameters)
+    except OverflowError:
+        mean = sd = math.inf
+    if not (abs(mean) <= _LARGEST and sd <= _LARGEST):
+        raise ValueError(f"mean and sd must be at most {_LARGEST:g}, got {mean:g} and {sd:g}")
+    if sd < 1.0 / _LARGEST:
+        raise ValueError(f"the sd must be at least {1.0 / _LARGEST:g}, got {sd:g}")
     if distribution == "beta" and low is not None and high is not None:
         # A beta distribution's variance is less than (mean − low)(high − mean).
-        possible = low < mean < high and sd * sd < (mean - low) * (high - mean)
-        if not possible:
-            return f"no beta distribution between {low:g} and {high:g} has mean {mean:g} and sd {sd:g}"
-    if distribution == "beta":
-        assert low is not None
-        assert high is not None
-        shapes = beta_shapes(low, high, mean, sd)
-        if not all(_BETA_SHAPES[0] <= shape <= _BETA_SHAPES[1] for shape in shapes):
-            return (
-                f"`alpha` and `beta` must lie between {_BETA_SHAPES[0]:g} and {_BETA_SHAPES[1]:g}, got "
-                f"{shapes[0]:.3g} and {shapes[1]:.3g}"
+        if not (low < mean < high and sd * sd < (mean - low) * (high - mean)):
+            raise ValueError(f"no beta distribution between {low:g} and {high:g} has mean {mean:g} and sd {sd:g}")
+        alpha, beta = beta_shapes(low, high, mean, sd)
+        least, largest = _BETA_SHAPES
+        if not (least <= alpha <= largest and least <= beta <= largest):
+            raise ValueError(
+                f"`alpha` and `beta` must lie between {least:g} and {largest:g}, got {alpha:.3g} and {beta:.3g}"
             )
-    if distribution in POSITIVE:
-        least, largest = _COV[distribution]
-        if not least <= sd / mean <= largest:
-            return f"the coefficient of variation must lie between {least:g} and {largest:g}, got {sd / mean:g}"
-    return ""
+    least, largest = family.cov
+    if family.is_positive and not least <= sd / mean <= largest:
+        raise ValueError(f"the coefficient of variation must lie between {least:g} and {largest:g}, got {sd / mean:g}")
+    return mean, sd
 
 
 def moments(
@@ -150,7 +139,7 @@ def moments(
     Args:
         distribution: name of the distribution; one that has parameters.
         low, high: bounds of the variable; only a beta distribution needs and uses them.
-        parameters: the numbers by name, one of `sets_of_parameters`.
+        parameters: the numbers by name, one of the family's `sets`.
 
     Raises:
         KeyError: if a parameter is missing.
@@ -161,12 +150,6 @@ def moments(
         if distribution == "exponential":
             return mean, mean
         return mean, parameters["sd"] if "sd" in parameters else parameters["cov"] * abs(mean)
-    if distribution == "beta":
-        assert low is not None
-        assert high is not None
-        alpha, beta = parameters["alpha"], parameters["beta"]
-        share = alpha / (alpha + beta)
-        return low + (high - low) * share, (high - low) * math.sqrt(share * (1.0 - share) / (alpha + beta + 1.0))
     match distribution:
         case "lognormal":
             variance = parameters["dispersion"] ** 2
@@ -181,6 +164,12 @@ def moments(
             return mean, mean * _weibull_cov(parameters["shape"])
         case "gamma":
             return parameters["shape"] * parameters["scale"], math.sqrt(parameters["shape"]) * parameters["scale"]
+        case "beta":
+            assert low is not None
+            assert high is not None
+            alpha, beta = parameters["alpha"], parameters["beta"]
+            share = alpha / (alpha + beta)
+            return low + (high - low) * share, (high - low) * math.sqrt(share * (1.0 - share) / (alpha + beta + 1.0))
         case _:
             return 1.0 / parameters["rate"], 1.0 / parameters["rate"]
 
@@ -202,27 +191,14 @@ def beta_shapes(low: float, high: float, mean: float, sd: float) -> tuple[float,
     return share * total, (1.0 - share) * total
 
 
-def quantiles_at(distribution: Distribution, mean: float, sd: float, distance: float) -> tuple[float, float]:
-    """The quantiles of an unbounded distribution that correspond to ∓`distance` standard deviations of a normal one.
-
-    Args:
-        distribution: name of the distribution; not beta.
-        mean, sd: its moments, as for `frozen`.
-        distance: not negative.
-    """
-    beyond = 0.5 * math.erfc(distance / math.sqrt(2.0))
-    law = frozen(distribution, 0.0, 0.0, mean, sd)
-    return float(law.ppf(beyond)), float(law.isf(beyond))
-
-
 @lru_cache(maxsize=1024)
-def frozen(distribution: Distribution, low: float, high: float, mean: float, sd: float) -> "rv_frozen":
-    """SciPy's distribution with a mean and a standard deviation.
+def law_of(distribution: Distribution, low: float, high: float, mean: float, sd: float | None) -> "rv_frozen":
+    """SciPy's distribution before truncation.
 
     Args:
-        distribution: name of the distribution; a truncated normal one gives the normal distribution before truncation.
+        distribution: name of the distribution; neither uniform nor log-uniform.
         low, high: bounds of a beta distribution; others ignore them.
-        mean, sd: its moments, for which `parameters_fault` finds no fault.
+        mean, sd: its moments, for which `checked_moments` finds no fault.
 
     Raises:
         ValueError: if no Weibull distribution with a shape between 0.1 and 10,000 has these moments.
@@ -231,6 +207,7 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
     from scipy import stats
     from scipy.optimize import brentq
 
+    sd = mean if sd is None else sd
     match distribution:
         case "lognormal":
             dispersion = math.sqrt(math.log1p((sd / mean) ** 2))
@@ -241,14 +218,8 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
                 return stats.gumbel_r(mean - np.euler_gamma * scale, scale)
             return stats.gumbel_l(mean + np.euler_gamma * scale, scale)
         case "weibull":
-            target = sd / mean
-            log_shape: Any = brentq(
-                lambda k: _weibull_cov(math.exp(k)) - target,
-                math.log(_LEAST_SHAPE),
-                math.log(_LARGEST_SHAPE),
-                xtol=1e-14,
-            )
-            shape = math.exp(log_shape)
+            cov, ends = sd / mean, (math.log(_LEAST_SHAPE), math.log(_LARGEST_SHAPE))
+            shape = math.exp(brentq(lambda k: _weibull_cov(math.exp(k)) - cov, *ends, xtol=1e-14))
             return stats.weibull_min(shape, scale=mean / math.gamma(1.0 + 1.0 / shape))
         case "gamma":
             return stats.gamma((mean / sd) ** 2, scale=sd * sd / mean)

@@ -18,8 +18,9 @@ from activefail.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import Expression, check_no_texts, parse_expression
+from activefail.motions import Motions
 from activefail.names import FeatureSet
-from activefail.parameter import Parameter, Payload
+from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
@@ -314,7 +315,7 @@ def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], spa
     return _joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space)
 
 
-def _under_records(space: DesignSpace, payload: Payload, column: int, model: Model | None) -> FeatureMap:
+def _under_records(space: DesignSpace, payload: Motions, column: int, model: Model | None) -> FeatureMap:
     """The other variables, and the features of the bearing's cheap models under the scaled records of a variable."""
     of_bearing = TABLE_1.names[:7]
     _check_bearing("collision", space, of_bearing)

@@ -19,7 +19,7 @@ MEASURES = ("pga", "pgv", "sa:0.3", "sa:1", "sa:3")
 
 @dataclass(frozen=True)
 class Motions:
-    """The ground motions of a variable: what its choices, the names of records, stand for.
+    """The ground motions of a variable: what its choices, the names of records, stand for. No pickle has them.
 
     Attributes:
         variable: its name.

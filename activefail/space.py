@@ -146,6 +146,11 @@ class DesignSpace:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
+    def by_name(self) -> dict[str, Parameter]:
+        """The variables by their names."""
+        return {parameter.name: parameter for parameter in self.parameters}
+
+    @property
     def texts(self) -> tuple[str, ...]:
         """Names of the variables whose choices are texts."""
         return tuple(parameter.name for parameter in self.parameters if parameter.has_texts)
@@ -165,6 +170,10 @@ class DesignSpace:
         """Upper bounds, shape (d,), in the variables' units."""
         return np.array([parameter.high for parameter in self.parameters])
 
+    def _each(self, of: Callable[[Parameter, Array], Any], X: Array) -> list[Any]:
+        """What follows from each variable and its column of X, shape (..., d)."""
+        return [of(one, x) for one, x in zip(self.parameters, np.moveaxis(np.asarray(X), -1, 0), strict=True)]
+
     def from_unit(self, U: Array) -> Array:
         """Points of the unit cube, shape (..., d), as designs in the variables' units."""
         # Imported here, as below: importing SciPy takes longer than simulating a bearing.
@@ -173,33 +182,26 @@ class DesignSpace:
         if self.correlation:
             # Infinite values on a face of the cube would mix to NaN.
             return self.from_normal(ndtri(np.clip(U, LEAST_SHARE, 1.0 - LEAST_SHARE)))
-        columns = np.moveaxis(np.asarray(U), -1, 0)
-        X = np.stack([p.quantile(u) for p, u in zip(self.parameters, columns, strict=True)], axis=-1)
-        # Clipped: low + u (high - low) can leave the box by one rounding.
-        return np.asarray(np.clip(X, self.low, self.high))
+        return self._within(self._each(Parameter.quantile, U))
 
     def to_unit(self, X: Array) -> Array:
         """Designs, shape (..., d), as points of the unit cube."""
         from scipy.special import ndtr
 
-        if self.correlation:
-            return np.asarray(ndtr(self.to_normal(X)))
-        columns = np.moveaxis(np.asarray(X), -1, 0)
-        return np.stack([p.share(x) for p, x in zip(self.parameters, columns, strict=True)], axis=-1)
+        return np.asarray(ndtr(self.to_normal(X)) if self.correlation else np.stack(self._each(Parameter.share, X), -1))
 
     def from_normal(self, Z: Array) -> Array:
         """Points of standard normal space, shape (..., d), as designs in the variables' units."""
-        Z = np.asarray(Z)
-        if self.factor is not None:
-            Z = Z @ self.factor.T
-        columns = np.moveaxis(Z, -1, 0)
-        X = np.stack([p.from_normal(z) for p, z in zip(self.parameters, columns, strict=True)], axis=-1)
-        return np.asarray(np.clip(X, self.low, self.high))
+        mixed = np.asarray(Z) if self.factor is None else Z @ self.factor.T
+        return self._within(self._each(Parameter.from_normal, mixed))
+
+    def _within(self, columns: list[Array]) -> Array:
+        # Clipped: low + u (high - low) can leave the box by one rounding.
+        return np.clip(np.stack(columns, axis=-1), self.low, self.high)
 
     def to_normal(self, X: Array) -> Array:
         """Designs, shape (..., d), as points of standard normal space, where the variables are independent."""
-        columns = np.moveaxis(np.asarray(X), -1, 0)
-        Z = np.stack([p.to_normal(x) for p, x in zip(self.parameters, columns, strict=True)], axis=-1)
+        Z = np.stack(self._each(Parameter.to_normal, X), axis=-1)
         if self.factor is None:
             return Z
         from scipy.linalg import solve_triangular
@@ -220,14 +222,10 @@ class DesignSpace:
 
     def quantities(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Values of variables by name, as expressions and formulas take them, with features and fixed quantities."""
-        variables = {parameter.name: parameter for parameter in self.parameters}
-        taken = {name: variables[name].quantities(x) if name in variables else x for name, x in values.items()}
-        carried = {
-            feature: x
-            for name, value in values.items()
-            if name in variables
-            for feature, x in variables[name].carried(value).items()
-        }
+        known, carried = self.by_name, dict[str, Any]()
+        taken = {name: known[name].quantities(x) if name in known else x for name, x in values.items()}
+        for name in filter(known.__contains__, values):
+            carried |= known[name].carried(values[name])
         return {**taken, **carried, **self.fixed}
 
     @property
@@ -249,8 +247,8 @@ class DesignSpace:
 
     def written(self, values: Mapping[str, float]) -> dict[str, Any]:
         """Values of variables by name, as people see them: choices, and whole numbers as integers."""
-        variables = {parameter.name: parameter for parameter in self.parameters}
-        return {name: variables[name].written(x) if name in variables else x for name, x in values.items()}
+        known = self.by_name
+        return {name: known[name].written(x) if name in known else x for name, x in values.items()}
 
     def objects(self, X: Array, name: str) -> tuple[Sequence[Any], NDArray[np.intp]]:
         """What the choices of a variable stand for, such as the records of a set, and which of them designs have, (n,).
@@ -258,14 +256,14 @@ class DesignSpace:
         Raises:
             InputError: if its choices stand for nothing, or it is no variable; or as reading them does.
         """
-        for one, column in zip(self.parameters, np.asarray(X).T, strict=True):
-            if one.name == name and one.payload is not None:
-                return one.payload(), column.astype(np.intp)
-        raise InputError(f"space: {name!r} is no variable with a `set`.")
+        one = self.by_name.get(name)
+        if one is None or one.payload is None:
+            raise InputError(f"space: {name!r} is no variable with a `set`.")
+        return one.payload(), np.asarray(X)[:, self.names.index(name)].astype(np.intp)
 
     def row(self, x: Array) -> list[Any]:
         """A design, (d,), as people see it (see `written`)."""
-        return [*self.written(dict(zip(self.names, np.asarray(x).tolist(), strict=True))).values()]
+        return self._each(lambda one, value: one.written(float(value)), x)
 
     def meets_constraints(self, X: Array) -> NDArray[np.bool_]:
         """Which designs, (n, d), meet all constraints, (n,)."""
@@ -329,13 +327,11 @@ class DesignSpace:
 
     def standardised(self, X: Array) -> Array:
         """Designs, shape (n, d), in standard deviations of each variable from its middle."""
-        columns = [p.standardised(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
-        return np.stack(columns, axis=1)
+        return np.stack(self._each(Parameter.standardised, X), axis=1)
 
     def positions(self, X: Array) -> Array:
         """Designs, (n, d), as points whose distances say how different designs are; choices are equally far apart."""
-        pairs = zip(self.parameters, np.asarray(X).T, strict=True)
-        return np.column_stack([p.indicators(x) if p.choices else p.standardised(x) for p, x in pairs])
+        return np.column_stack(self._each(lambda p, x: p.indicators(x) if p.choices else p.standardised(x), X))
 
     def swapped(self, X: Array, share: float, rng: np.random.Generator) -> Array:
         """Designs, (n, d), with a share of all choices drawn again."""
@@ -347,21 +343,18 @@ class DesignSpace:
 
     def widened(self, X: Array, factor: float) -> Array:
         """Designs, shape (n, d), with the normal variables stretched by `factor` (see Parameter.widened)."""
-        columns = [p.widened(x, factor) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
-        return np.stack(columns, axis=1)
+        return np.stack(self._each(lambda p, x: p.widened(x, factor), X), axis=1)
 
     def contains(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, shape (n, d), are designs of this space; shape (n,)."""
-        contained = [p.contains(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
-        return np.asarray(np.all(contained, axis=0)) & self.meets_constraints(X)
+        return np.asarray(np.all(self._each(Parameter.contains, X), axis=0)) & self.meets_constraints(X)
 
     def spans(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, (n, d), lie between the bounds, also between steps, and meet the constraints, (n,).
 
         A property bound of a hazard leads between the steps, where the classifier does not extrapolate.
         """
-        inside = [one.spans(x) for one, x in zip(self.parameters, np.asarray(X).T, strict=True)]
-        return np.asarray(np.all(inside, axis=0)) & self.meets_constraints(X)
+        return np.asarray(np.all(self._each(Parameter.spans, X), axis=0)) & self.meets_constraints(X)
 
     def reaches(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, (n, d), may be recorded, also outside the space: not too far, and of known choices, (n,)."""
@@ -384,20 +377,16 @@ class DesignSpace:
 
     def columns(self, X: Array) -> dict[str, NDArray[Any]]:
         """The variables of designs, (n, d), by name, (n,) each, as people see them (see Parameter.column)."""
-        columns = np.reshape(X, (-1, self.dimension)).T
-        return {p.name: p.column(x) for p, x in zip(self.parameters, columns, strict=True)}
+        columns = self._each(Parameter.column, np.reshape(X, (-1, self.dimension)))
+        return dict(zip(self.names, columns, strict=True))
 
     def rounded(self, X: Array) -> Array:
         """Designs, (n, d), whose values are those of variables with steps, where they differ by rounding alone."""
-        if all(parameter.step is None for parameter in self.parameters):
-            return np.asarray(X)
-        columns = zip(self.parameters, np.asarray(X).T, strict=True)
-        return np.stack([np.where(p.contains(x), p.rounded(x), x) for p, x in columns], axis=-1)
+        return np.stack(self._each(lambda p, x: np.where(p.contains(x), p.rounded(x), x), X), axis=-1)
 
     def nearest(self, X: Array) -> Array:
         """Designs, (n, d), with the nearest of the values of variables with steps or choices."""
-        columns = zip(self.parameters, np.asarray(X).T, strict=True)
-        return np.stack([one.rounded(x) for one, x in columns], axis=-1)
+        return np.stack(self._each(Parameter.rounded, X), axis=-1)
 
     @cached_property
     def design_count(self) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,12 @@ class WeightedRows:
     X: Array
     weight: Array
     is_sample: bool = False
+
+    # It has no variables with distributions of their own, nor what depends on them (see `space.DesignSpace`).
+    parameters: ClassVar = ()
+    correlation: ClassVar = ()
+    constraints: ClassVar = ()
+    feasible_share: ClassVar = 1.0
 
     def __post_init__(self) -> None:
         if self.X.shape != (len(self.weight), len(self.names)):

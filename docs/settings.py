@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from activefail.campaign import hazard_sections, sections
+from activefail.campaign import hazard_sections, sections, settings, variables
 from activefail.campaign.settings import CampaignSettings
 
 PAGE = Path(__file__).parent / "reference" / "settings.md"
@@ -36,9 +36,8 @@ Schema = dict[str, Any]
 
 def section_class(name: str) -> type:
     """The class of a section by its name."""
-    return (
-        CampaignSettings if name == "CampaignSettings" else getattr(hazard_sections, name, None) or vars(sections)[name]
-    )
+    modules = (settings, sections, variables, hazard_sections)
+    return next(vars(one)[name] for one in modules if name in vars(one))  # type: ignore[no-any-return]
 
 
 def meanings(section: type) -> dict[str, str]:
@@ -129,7 +128,12 @@ def rows(section: type, schema: Schema, said: dict[str, str] | None = None) -> l
             lines.append(row)
     if said is not None:
         said |= dict.fromkeys(lines, schema.get("required", [""])[0])
-    same = [f"{', '.join(names[:-1])} and {names[-1]} are as with `{title}`." for title, names in before.items()]
+    same = [
+        f"{', '.join(names[:-1])} and {names[-1]} are as with `{title}`."
+        if names[1:]
+        else f"{names[0]} is as with `{title}`."
+        for title, names in before.items()
+    ]
     return [*lines, "", *same] if same else lines
 
 

@@ -18,7 +18,7 @@ from study import asked, head, line, timed
 
 from activefail.bearing import TABLE_1, simulate_records
 from activefail.bearing import outcome as o
-from activefail.campaign.record_sets import space_with_motions, with_records
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import read_settings
 from activefail.features import CustomFeatures, feature_map
 from activefail.intensity import spectral_acceleration
@@ -91,7 +91,7 @@ def feature_sets(space):
 def main():
     options = asked(__doc__, designs=4000, learn=[250, 500, 2000], seed=1)
     torch.set_num_threads(1)
-    space = space_with_motions(with_records(read_settings(CAMPAIGNS / "records.toml"), CAMPAIGNS))
+    space = Campaign.of(read_settings(CAMPAIGNS / "records.toml"), CAMPAIGNS).space
     record = space.parameters[space.names.index("record")]
     motions = [one.motion for one in record.payload()]
     events, velocities = record.groups, np.array([motion.peak_velocity for motion in motions])

@@ -16,7 +16,7 @@ import commandline
 import pytest
 
 import activefail
-from activefail.campaign.sections import Section
+from activefail.campaign.section import Section
 from activefail.campaign.settings import CampaignSettings, checked
 
 ROOT = Path(__file__).parents[1]

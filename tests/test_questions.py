@@ -239,6 +239,10 @@ def test_two_questions_differ_by_what_they_define_not_by_their_words(tmp_path: P
         ('[space]\nx = { distribution = "lognormal", mean = -1, sd = 1 }\n', "space.x: "),
         ('[space]\nx = { distribution = "normal", mean = 1, sd = 0 }\n', "space.x: "),
         ("", "space: required, but missing"),
+        (
+            'reach = 0.1\n[space]\nx = { distribution = "normal", mean = 0, sd = 1, low = 2.5 }\n',
+            "space.x: The variable 'x': `low < high` must hold, got 2.5 and 1.6448",
+        ),
         ("[space]\n", "space: must have at least 1 entry"),
         ("[spaces]\n", "spaces: unknown key; did you mean 'space'?"),
         ("[space\n", "not valid TOML"),

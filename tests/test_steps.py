@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from activefail import open_run
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import values_of
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.parameter import Parameter
@@ -142,6 +143,7 @@ def test_values_between_the_steps_are_refused_by_questions_and_tables(folder: Pa
     with open_run(folder / "run", write=True, code=folder) as run:
         with pytest.raises(InputError, match=r"plate: `4 <= plate <= 12` in steps of 0\.5 must hold, got 7\.3"):
             run.probability(fixed={"plate": 7.3})
+        assert values_of("plate=14", run.space) == {"plate": 14.0}  # beyond the range, as of a continuous variable
         with pytest.raises(InputError, match=r"storeys: `1 <= storeys <= 5` in steps of 1 must hold"):
             run.add({"load": [20.0], "plate": [8.0], "storeys": [2.5], "margin": [1.0]})
         with pytest.warns(

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from activefail.bearing.design import LARGEST
 from activefail.bearing.ground import Samples, Segment, samples
 from activefail.errors import InputError
+from activefail.parameter import LARGEST
 from activefail.space import Array
 
 STILL = Segment(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from activefail.errors import InputError
-from activefail.parameter import Parameter
+from activefail.parameter import LARGEST, Parameter
 from activefail.space import Array, DesignSpace
 
 GRAVITY = 9.81
@@ -28,10 +28,6 @@ TABLE_1 = DesignSpace(
     )
 )
 """The nine sampled variables and their ranges (paper, Table 1)."""
-
-
-LARGEST = 1e75
-"""Largest magnitude of a variable of Table 1, whose fourth power is still finite."""
 
 
 def _require_positive(**values: float) -> None:
@@ -175,6 +171,15 @@ class Pulse:
         return cls(T_p, A_p * GRAVITY)
 
 
+WIDEST_SLIDER = 5.0
+"""Diameter that a slider must stay below [m]."""
+
+WIDEST_REGULARISATION = 0.1
+"""Largest velocity over which friction is regularised [m/s]."""
+
+RELATIVE_TOLERANCES = (1e-12, 1e-2)
+"""Range of the relative error per step."""
+
 RESTITUTIONS = ("pairwise", "assembly")
 
 RIMS: dict[str, tuple[str, ...]] = {
@@ -223,6 +228,11 @@ class Model:
             slider_density=self.slider_density,
             friction_velocity=self.friction_velocity,
         )
+        if not self.slider_diameter < WIDEST_SLIDER:
+            raise InputError(f"`slider_diameter < {WIDEST_SLIDER:g}` must hold, in m, got {self.slider_diameter}.")
+        if not self.friction_velocity <= WIDEST_REGULARISATION:
+            rule = f"`friction_velocity <= {WIDEST_REGULARISATION:g}` must hold, in m/s"
+            raise InputError(f"{rule}, got {self.friction_velocity}.")
         if not 0.0 < self.restitution_coefficient <= 1.0:
             raise InputError(f"`0 < restitution_coefficient <= 1` must hold, got {self.restitution_coefficient}.")
         if self.restitution not in RESTITUTIONS:
@@ -274,8 +284,11 @@ class Tolerance:
     most_steps: int = 400_000
 
     def __post_init__(self) -> None:
-        if not 1e-12 <= self.relative <= 1e-2:
-            raise InputError(f"`1e-12 <= relative <= 1e-2` must hold for the tolerance, got {self.relative}.")
+        least, largest = RELATIVE_TOLERANCES
+        if not least <= self.relative <= largest:
+            raise InputError(
+                f"`{least:g} <= relative <= {largest:g}` must hold for the tolerance, got {self.relative}."
+            )
         _require_positive(longest_step=self.longest_step)
         if not (isinstance(self.most_steps, int) and self.most_steps >= 1):
             raise InputError(f"`most_steps` must be a whole number of at least 1, got {self.most_steps!r}.")

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign import sections
-from activefail.campaign.choice_features import with_features
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
-from activefail.campaign.record_sets import space_with_motions, with_records
 from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.variables import SetVariable
 from activefail.errors import InputError, description_of, place_of
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
+from activefail.motions import Motions, read_motions
 from activefail.names import FeatureSet
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
@@ -115,8 +115,8 @@ class Campaign:
         # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         may_read = run is None or code is not None
-        settings = with_records(with_features(settings, code), code, may_read)
-        space = space_with_motions(settings, may_read)
+        settings = settings.completed(code or Path.cwd(), read_motions if may_read else None)
+        space = _with_motions(settings.design_space(), settings, may_read)
         sources: dict[str, str] = {}
         if simulator is None:
             _check_bearing(settings)
@@ -283,6 +283,19 @@ class Campaign:
     def severity(self) -> int:
         """The least severe outcome beyond the (main) target boundary."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
+
+
+def _with_motions(space: DesignSpace, settings: CampaignSettings, may_read: bool) -> DesignSpace:
+    """The design space with the motions of its sets; these are read when they are needed."""
+    parameters = []
+    for one in space.parameters:
+        if isinstance(entry := settings.space[one.name], SetVariable):
+            level, measure = next(iter((entry.scaled_to or {"": "factor"}).items()))
+            digest = entry.digest or ""
+            motions = Motions(one.name, entry.set, entry.unit, entry.dt, digest, level, measure, may_read)
+            one = replace(one, payload=motions)
+        parameters.append(one)
+    return replace(space, parameters=tuple(parameters))
 
 
 def _simulator(

@@ -8,7 +8,9 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from activefail.campaign.sections import KINDS, NAME, NUMBER, RANGE, VARIABLES, WITH, Variable, shown
+from activefail.campaign.section import NAME, NUMBER, RANGE, WITH, shown
+from activefail.campaign.sections import KINDS
+from activefail.campaign.variables import VARIABLES, Variable
 
 
 def _key(name: str) -> str:
@@ -65,7 +67,7 @@ def broken_rule(settings: type[BaseModel], error: Any) -> str:
     # The last part of an unknown key's place is the user's, even if it reads like one of our tags.
     whole = error["loc"]
     places, last = (whole[:-1], whole[-1:]) if error["type"] == "extra_forbidden" else (whole, ())
-    parts = [part for part in places if part not in (NAME, NUMBER, RANGE) and not str(part).startswith(WITH)]
+    parts = [part for part in places if part not in (NAME, NUMBER, RANGE, "[key]") and not str(part).startswith(WITH)]
     parts += last
     path = ".".join(_key(str(part)) for part in parts) or "the file"
     message = error["msg"].removeprefix("Value error, ")

@@ -23,7 +23,6 @@ from activefail.campaign.question import (
     check_pulse,
 )
 from activefail.campaign.settings import checked, read_toml
-from activefail.distributions import moments, quantiles_at
 from activefail.errors import InputError, naming
 from activefail.parameter import Parameter
 from activefail.space import REACH, Array, DesignSpace, correlation_of_values, radius
@@ -231,9 +230,8 @@ def deviates(rows: int, n: int) -> Array:
 
 
 def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parameter:
-    mean, sd = moments("lognormal", None, None, {"median": median, "dispersion": dispersion})
-    low, high = quantiles_at("lognormal", mean, sd, radius(REACH, 2))
-    return Parameter(name, low, high, unit, "lognormal", mean, sd)
+    numbers = {"median": median, "dispersion": dispersion}
+    return Parameter.of_distribution(name, "lognormal", numbers, unit=unit, distance=radius(REACH, 2))
 
 
 def is_of_hazard(values: Mapping[str, Any]) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from activefail.campaign.sections import Section, shown
+from activefail.campaign.section import Section, shown
 
 LARGEST_VELOCITY = 10.0
 """Largest peak ground velocity [m/s]; the largest recorded ones are about 3 m/s."""

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activefail.campaign.sections import SetVariable
+from activefail.campaign.variables import SetVariable
 from activefail.errors import InputError
 from activefail.files import replacing
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.bearing.design import LARGEST
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard_sections import LARGEST_VELOCITY, LONGEST, SHORTEST
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
 from activefail.csv_table import Table
 from activefail.errors import InputError, naming
+from activefail.parameter import LARGEST
 from activefail.space import Array
 from activefail.trust import path_beside
 from activefail.weighted import WeightedRows

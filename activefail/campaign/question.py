@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from activefail.bearing.design import LARGEST
-from activefail.campaign.hazard_sections import LARGEST_MEDIAN
-from activefail.campaign.sections import AnyVariable, FixedVariable, QuestionSettings, SetVariable, shown
+from activefail.campaign.hazard_sections import LARGEST_MEDIAN, LARGEST_VELOCITY
+from activefail.campaign.section import shown
+from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import read_toml
+from activefail.campaign.variables import Choices, FixedVariable, SetVariable, Variable
 from activefail.errors import InputError, naming
 from activefail.numerals import number_in
 from activefail.parameter import Parameter
@@ -34,6 +35,9 @@ _WIDEN_ABOVE, _HELD = 0.1, 0.99
 
 PGV = "PGV"
 """Peak ground velocity of the pulse [m/s], which may take the place of its amplitude A_p [g]."""
+
+_VELOCITY = Parameter(PGV, 0.001, LARGEST_VELOCITY, "m/s")
+"""What a question may state of it as if it were a variable of the campaign."""
 
 PERIOD, AMPLITUDE = "T_p", "A_p"
 """The variables of a pulse: period [s] and amplitude [g]."""
@@ -80,15 +84,13 @@ class Question:
 
     def stated_of(self, of_values: bool = False) -> tuple[str, ...]:
         """The same; `of_values`: for an answer that has an interval of other records, too."""
-        if isinstance(self.space, WeightedRows):
-            return self.stated
         notes = [
             f"{one.name}: the probability and its interval are those of these {records_in_words(one)}, not of other "
             "earthquakes."
             for one in self.space.parameters
             if one.groups is not None and not of_values
         ]
-        if self.space.constraints and self.space.feasible_share < 1.0:
+        if isinstance(self.space, DesignSpace) and self.space.constraints and self.space.feasible_share < 1.0:
             share = feasible_share(self.space)
             notes.append(f"Only designs that meet the constraints count, {share} of the variables' distribution.")
         return (*self.stated, *notes)
@@ -118,11 +120,7 @@ class Question:
         # Parts that older questions did not have are left out where they say nothing, so that digests stay.
         further_parts += [sorted(self.factors.items())] if self.factors else []
         further_parts += [self.draw] if self.draw else []
-        further_parts += (
-            [one.probabilities for one in self.space.parameters if one.choices]
-            if isinstance(self.space, DesignSpace)
-            else []
-        )
+        further_parts += [one.probabilities for one in self.space.parameters if one.choices]
         return hashlib.sha256(repr((*defined, values, *further_parts)).encode()).hexdigest()
 
     def designs(self, X: Array) -> Array:
@@ -147,7 +145,7 @@ class Question:
             raise InputError(f"{AMPLITUDE}: cannot have a value, because it follows from {PGV}.")
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
-        notes = () if isinstance(space, WeightedRows) else _left_out(space.correlation, values)
+        notes = _left_out(space.correlation, values)
         for name, value in values.items():
             if name in space.names:
                 space = space.holding(name, value)
@@ -156,7 +154,7 @@ class Question:
     @property
     def has_designs(self) -> bool:
         """Whether enough designs of the uncertain variables meet the constraints."""
-        return isinstance(self.space, WeightedRows) or self.space.feasible_share >= LEAST_FEASIBLE
+        return self.space.feasible_share >= LEAST_FEASIBLE
 
     def drawn(self, draw: int, unguided: int = 0) -> "Question":
         """The same question with another independent sample of fresh simulations."""
@@ -302,14 +300,7 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
     if not isinstance(given, Mapping):
         raise InputError(f"{argument}: must be values by name, or a path, got {type(given).__name__}.")
     check_names(given, space)
-    for name, value in given.items():
-        one = space.parameters[space.names.index(name)]
-        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if not one.choices and not (is_number and -LARGEST <= value <= LARGEST):
-            raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
-        if one.step is not None and not one.choices and not one.contains(value):
-            raise InputError(f"{name}: {one.rule}, got {value:g}.")
-    return {name: _number_of(space, name, value, name) for name, value in given.items()}
+    return {name: _number_in(value, space.by_name[name], name) for name, value in given.items()}
 
 
 def _written(text: str, space: DesignSpace) -> dict[str, Any]:
@@ -336,23 +327,19 @@ def _written(text: str, space: DesignSpace) -> dict[str, Any]:
     return values
 
 
-def _number_of(space: DesignSpace, name: str, value: Any, key: str) -> float:
+def _number_in(value: Any, of: Parameter, key: str) -> float:
     """The number of a variable's value in a file or argument.
 
     Raises:
-        InputError: if the variable has choices and the value is none of them, or has none and the value is a text;
-            naming the key.
+        InputError: if the variable cannot have it, naming the key.
     """
-    one = next((one for one in space.parameters if one.name == name and one.choices), None)
-    if one is None and isinstance(value, str):
-        raise InputError(f"{key}: must be a number, got {shown(value)}.")
     try:
-        return float(value) if one is None else one.number_of(value)
+        return of.number_of(value)
     except ValueError as rule:
         raise InputError(f"{key}: {rule}, got {shown(value)}.") from None
 
 
-def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
+def check_names(names: Iterable[str], space: DesignSpace) -> None:
     """Check names of variables.
 
     Raises:
@@ -391,11 +378,10 @@ def asked_of(
     uncertain = [name for name in names if name not in fixed]
     if not uncertain:
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
-    of_campaign = dict(zip(space.names, space.parameters, strict=True))
     if correlation is None:
         correlation = [pair for pair in space.correlation if {*pair[:2]} <= {*uncertain, *fixed}]
     kept = tuple(pair for pair in correlation if fixed.keys().isdisjoint(pair[:2]))
-    parameters = tuple(changed.get(name) or of_campaign[name] for name in uncertain)
+    parameters = tuple(changed.get(name) or space.by_name[name] for name in uncertain)
     notes = _left_out(correlation, fixed)
     check_constraints(space, fixed, uncertain)
     open_ones = tuple(one for one in space.constraints if not one.names.isdisjoint(uncertain))
@@ -443,11 +429,11 @@ def check_pulse(space: DesignSpace, what: str) -> None:
         InputError: naming `what` needs it.
     """
     for name, unit in ((PERIOD, "s"), (AMPLITUDE, "g")):
-        known = dict(zip(space.names, space.parameters, strict=True))
-        if name not in known:
-            raise InputError(f"{what}: requires the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
-        if known[name].unit not in ("", unit):
-            raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {known[name].unit!r}.")
+        if (one := space.by_name.get(name)) is None:
+            known = ", ".join(space.names)
+            raise InputError(f"{what}: requires the variable {name!r} of a pulse; the campaign has {known}.")
+        if one.unit not in ("", unit):
+            raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {one.unit!r}.")
         check_no_choices(name, space, what)
 
 
@@ -457,9 +443,9 @@ def check_no_choices(name: str, space: DesignSpace, what: str) -> None:
     Raises:
         InputError: naming `what`, the variable and its choices.
     """
-    for one in space.parameters:
-        if one.name == name and one.choices:
-            raise InputError(f"{what}: requires {name} without choices, but it {one.rule} in the campaign.")
+    one = space.by_name.get(name)
+    if one is not None and one.choices:
+        raise InputError(f"{what}: requires {name} without choices, but it {one.rule} in the campaign.")
 
 
 def has_pulse(space: DesignSpace) -> bool:
@@ -483,25 +469,30 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     Raises:
         InputError: naming the key, the rule and the value.
     """
-    for name, entry in section.space.items():
-        _check_variable(name, entry, space)
-    if _replaces_amplitude(section.space, space.names) and AMPLITUDE in {*section.space, *further}:
+    known, of_velocity = space.by_name, _replaces_amplitude(section.space, space.names)
+    if of_velocity:
+        check_pulse(space, f"space.{PGV}")
+        known = known | {PGV: _VELOCITY}
+    with naming("space."):
+        check_names([name for name in section.space if name not in known], space)
+    if of_velocity and AMPLITUDE in {*section.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
-    stated = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)}
-    fixed = {name: _number_of(space, name, value, f"space.{name}.value") for name, value in stated.items()} | dict(
-        further
-    )
-    entries = {
-        name: entry
-        for name, entry in section.space.items()
-        if not isinstance(entry, FixedVariable) and name not in fixed
-    }
-    unbounded = sum(not variable.is_bounded for variable in entries.values())
+    unbounded = sum(not one.is_bounded for name, one in section.space.items() if name not in further)
     distance = radius(section.reach, unbounded) if unbounded else np.inf
-    changed = {
-        name: _in_steps(entry.parameter(name, distance), space, entry.is_bounded) for name, entry in entries.items()
-    }
-    if _replaces_amplitude(section.space, space.names):
+    stated, changed = dict[str, float](), dict[str, Parameter]()
+    for name, entry in section.space.items():
+        with naming(f"space.{name}"):
+            if isinstance(entry, SetVariable):
+                raise InputError(".set: must be left out; `choices` name some of the campaign's records.")
+            if entry.unit not in ("", known[name].unit):
+                of_campaign = known[name].unit or "left out"
+                raise InputError(f".unit: must be {of_campaign}, as in the campaign, got {entry.unit!r}.")
+            if isinstance(entry, FixedVariable):
+                stated[name] = _number_in(entry.value, known[name], ".value")
+            elif name not in further:
+                changed[name] = _restated(known[name], entry, distance)
+    fixed = stated | dict(further)
+    if of_velocity:
         median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
         if median > LARGEST_MEDIAN:
             raise InputError(
@@ -510,71 +501,38 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
     return asked_of(section.description or title, space, changed, fixed, section.correlation)
 
 
-def _in_steps(parameter: Parameter, space: DesignSpace, is_bounded: bool) -> Parameter:
-    """A variable of a question with the campaign's step, and with bounds among its values, the next ones outwards.
+def _restated(own: Parameter, entry: Variable | Choices, distance: float) -> Parameter:
+    """A variable of a campaign with the distribution of a question: in the campaign's steps, or of its choices.
 
-    Raises:
-        InputError: if it has another step.
-    """
-    own = next((one for one in space.parameters if one.name == parameter.name), None)
-    if own is not None and (own.choices or parameter.choices):
-        return _with_choices_of(own, parameter)
-    if own is None or (own.step is None and parameter.step is None):
-        return parameter
-    if is_bounded and not own.on_grid(np.array([parameter.low, parameter.high])).all():
-        raise InputError(
-            f"space.{parameter.name}: `low` and `high` must be whole steps of {own.step:g} from {own.low:g}, as in the "
-            f"campaign, got {parameter.low:g} and {parameter.high:g}."
-        )
-    if own.step is None or parameter.step not in (None, own.step):
-        stated = "left out" if own.step is None else f"{own.step:g}"
-        raise InputError(f"space.{parameter.name}.step: must be {stated}, as in the campaign, got {parameter.step:g}.")
-    first, step = Decimal(repr(own.low)), Decimal(repr(own.step))
-    below = math.floor((Decimal(repr(parameter.low)) - first) / step)
-    above = math.ceil((Decimal(repr(parameter.high)) - first) / step)
-    return replace(parameter, low=float(first + below * step), high=float(first + above * step), step=own.step)
-
-
-def _with_choices_of(own: Parameter, parameter: Parameter) -> Parameter:
-    """A variable of a question, which has some of the campaign's choices, by the campaign's numbers.
-
-    Raises:
-        InputError: if it has other choices, or only one of both has choices.
-    """
-    if not (own.choices and parameter.choices):
-        rule = own.rule.replace("must be one of", "must be among") if own.choices else "must be left out"
-        raise InputError(f"space.{own.name}.choices: {rule}, as in the campaign, got {list(parameter.choices)}.")
-    shares = np.zeros(len(own.choices))
-    for choice, share in zip(parameter.choices, parameter.probabilities, strict=True):
-        try:
-            shares[int(own.number_of(choice))] = share
-        except ValueError as rule:
-            raise InputError(f"space.{own.name}.choices: {rule}, got {choice!r}.") from None
-    return replace(own, probabilities=tuple(shares.tolist()))
-
-
-def _check_variable(name: str, entry: AnyVariable, space: DesignSpace) -> None:
-    """Check one variable of a question.
+    Bounds that the question leaves out are the next values outwards.
 
     Raises:
         InputError: naming the key, the rule and the value.
     """
-    if _replaces_amplitude([name], space.names):
-        check_pulse(space, f"space.{PGV}")
-        unit = "m/s"
-    else:
-        with naming("space."):
-            check_names({name: entry}, space)
-        own = space.parameters[space.names.index(name)]
-        if isinstance(entry, FixedVariable):
-            value = _number_of(space, name, entry.value, f"space.{name}.value")
-            if not own.on_grid(value):
-                raise InputError(f"space.{name}.value: {own.rule}, got {value:g}.")
-        unit = own.unit
-    if isinstance(entry, SetVariable):
-        raise InputError(f"space.{name}.set: must be left out; `choices` name some of the campaign's records.")
-    if getattr(entry, "features", None) is not None:
-        raise InputError(f"space.{name}.features: must be left out; choices have those of the campaign.")
-    if entry.unit and entry.unit != unit:
-        stated = unit or "left out"
-        raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")
+    with naming(": "):
+        one = entry.parameter(own.name, distance)
+    if isinstance(entry, Choices) and entry.features is not None:
+        raise InputError(".features: must be left out; choices have those of the campaign.")
+    if own.choices and one.choices:
+        shares = np.zeros(len(own.choices))
+        for choice, share in zip(one.choices, one.probabilities, strict=True):
+            shares[int(_number_in(choice, own, ".choices"))] = share
+        return replace(own, probabilities=tuple(shares.tolist()))
+    if own.choices or one.choices:
+        rule = own.rule.replace("must be one of", "must be among") if own.choices else "must be left out"
+        raise InputError(f".choices: {rule}, as in the campaign, got {list(one.choices)}.")
+    if own is _VELOCITY:
+        return one
+    if one.step not in (None, own.step):
+        stated = "left out" if own.step is None else f"{own.step:g}"
+        raise InputError(f".step: must be {stated}, as in the campaign, got {one.step:g}.")
+    if own.step is None:
+        return one
+    if entry.is_bounded and not own.on_grid(np.array([one.low, one.high])).all():
+        raise InputError(
+            f": `low` and `high` must be whole steps of {own.step:g} from {own.low:g}, as in the campaign, got "
+            f"{one.low:g} and {one.high:g}."
+        )
+    first, step, low, high = (Decimal(repr(number)) for number in (own.low, own.step, one.low, one.high))
+    ends = first + math.floor((low - first) / step) * step, first + math.ceil((high - first) / step) * step
+    return replace(one, low=float(ends[0]), high=float(ends[1]), step=own.step)

@@ -2,306 +2,17 @@
 
 import itertools
 import re
-import sys
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Tag,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from activefail.bearing.design import LARGEST, Model, Tolerance
-from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
-from activefail.errors import InputError
+from activefail.bearing.design import RELATIVE_TOLERANCES, WIDEST_REGULARISATION, WIDEST_SLIDER, Model, Tolerance
+from activefail.campaign.section import NAME, WITH, Section, built, by_key, name_or
+from activefail.campaign.variables import AnyVariable, FixedVariable
 from activefail.names import Criterion, FeatureSet, Kernel
-from activefail.parameter import (
-    MOST_CHOICES,
-    MOST_WITH_FEATURES,
-    Choice,
-    Parameter,
-    choices_fault,
-    distribution_fault,
-    features_fault,
-    step_fault,
-)
-from activefail.simulators.interface import EXECUTION_CAUSES
+from activefail.parameter import LARGEST
+from activefail.simulators.interface import EXECUTION_CAUSES, ExecutionCause
 from activefail.systems import System, parse_system
-
-_SHOWN = 200
-"""Longest value shown in a message, in characters."""
-
-
-def shown(value: object) -> str:
-    """A value as shown in messages."""
-    try:
-        text = repr(value)
-    except ValueError:  # Python does not print integers of more than 4300 digits
-        return "a number with thousands of digits"
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-NAME, NUMBER, RANGE = "a name", "a number", "a range"
-WITH = "a table with "
-"""Tags of alternative values, which no message shows."""
-
-_WIDEST = 9.0
-"""Largest distance of a bound from the median in standard deviations: the probability beyond is 10⁻¹⁹."""
-
-
-class Section(BaseModel):
-    """A table of the settings; it knows no other keys, takes no infinite numbers and is frozen."""
-
-    # Strict: reject "7" as a seed and 0 as a boolean.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
-
-
-_Features = Annotated[
-    Annotated[str, Tag(NAME)] | Annotated[dict[str, list[float]], Tag(f"{WITH}numbers")],
-    Discriminator(lambda value: NAME if isinstance(value, str) else f"{WITH}numbers"),
-]
-
-
-class Variable(Section):
-    """One variable of the design space: its distribution and its bounds (`activefail.space.Parameter`).
-
-    Distributions are stated by mean and sd, by mean and coefficient of variation, or by their own parameters
-    (`activefail.distributions`). Only uniform, log-uniform, truncated
-    normal and beta variables need bounds.
-
-    Attributes:
-        low: lower bound, in the unit of the variable. It truncates a distribution that needs no bounds.
-        high: upper bound, likewise.
-        unit: unit as text, for tables and figures; nothing is converted.
-        step: distance of the values low, low + step, ..., high of a variable that is not continuous, such as 1 for a
-            whole number. Each has the probability of all values that are rounded to it.
-        choices: texts or numbers without order, in place of bounds and distribution.
-        probabilities: of the choices; equal if left out.
-        features: quantities that follow from the choice, from a CSV file beside the campaign file or as numbers
-            ([choices](../distributions.md#choices)). activefail writes the numbers to run folders.
-        distribution: name of the distribution.
-        mean: mean, before truncation.
-        sd: standard deviation, before truncation.
-        cov: coefficient of variation, sd / abs(mean), in place of `sd`.
-        median: median of a lognormal variable.
-        dispersion: standard deviation of the logarithm of a lognormal variable.
-        location: mode of a Gumbel variable.
-        shape: shape of a Weibull or gamma variable.
-        scale: scale of a Gumbel, Weibull or gamma variable.
-        alpha: first shape of a beta variable between its bounds.
-        beta: second shape of a beta variable.
-        rate: rate of an exponential variable, 1 / mean.
-    """
-
-    low: float | None = None
-    high: float | None = None
-    unit: str = ""
-    step: float | None = None
-    choices: list[Choice] | None = None
-    probabilities: list[float] | None = None
-    features: _Features | None = None
-    distribution: Distribution = "uniform"
-    mean: float | None = None
-    sd: float | None = None
-    cov: float | None = None
-    median: float | None = None
-    dispersion: float | None = None
-    location: float | None = None
-    shape: float | None = None
-    scale: float | None = None
-    alpha: float | None = None
-    beta: float | None = None
-    rate: float | None = None
-
-    @field_validator("choices", mode="before")
-    @classmethod
-    def _are_texts_or_numbers(cls, choices: object) -> object:
-        for one in choices if isinstance(choices, list) else ():
-            is_number = isinstance(one, int | float) and not isinstance(one, bool)
-            if not isinstance(one, str) and not (is_number and abs(one) <= LARGEST):  # false for NaN too
-                raise ValueError(f"must be texts, or numbers of at most {LARGEST:g} in size, got {shown(one)}")
-        return choices
-
-    @model_validator(mode="after")
-    def _is_a_distribution(self) -> Self:
-        if self.choices is not None:
-            for name in self.model_fields_set - {"choices", "probabilities", "features", "unit"}:
-                if getattr(self, name) not in (None, "uniform"):
-                    raise ValueError(f"`{name}` cannot be combined with `choices`, got {getattr(self, name)!r}")
-            most = MOST_CHOICES if self.features is None else MOST_WITH_FEATURES
-            fault = choices_fault(self.choices, self.probabilities or (), most)
-            if fault := fault or (features_fault(self.quantities, self.choices) if self.has_numbers else ""):
-                raise ValueError(fault)
-            return self
-        for name in ("probabilities", "features"):
-            if getattr(self, name) is not None:
-                raise ValueError(f"`{name}` requires `choices`, got {shown(getattr(self, name))}")
-        if fault := parameters_fault(self.distribution, self.low, self.high, self._parameters):
-            raise ValueError(fault)
-        # The widest reach that settings allow; bounds in the file do not depend on it.
-        low, high, mean, sd = self._numbers(_WIDEST)
-        if max(-low, high) > LARGEST:
-            raise ValueError(f"the range must lie between {-LARGEST:g} and {LARGEST:g}, got {low:g} to {high:g}")
-        if fault := distribution_fault(low, high, self.distribution, mean, sd):
-            raise ValueError(fault)
-        if self.step is None:
-            return self
-        if not self.is_bounded:
-            raise ValueError("a variable with a `step` requires `low` and `high`")
-        if fault := step_fault(low, high, self.step, self.distribution):
-            raise ValueError(fault)
-        return self
-
-    @property
-    def has_texts(self) -> bool:
-        """Whether the choices are texts."""
-        return any(isinstance(one, str) for one in self.choices or ())
-
-    @property
-    def has_numbers(self) -> bool:
-        """Whether the choices have features whose numbers are known."""
-        return isinstance(self.features, dict)
-
-    @property
-    def quantities(self) -> dict[str, list[float]]:
-        """The features of the choices whose numbers are known."""
-        return self.features if isinstance(self.features, dict) else {}
-
-    @property
-    def _parameters(self) -> dict[str, float]:
-        numbers = {name: getattr(self, name) for name in PARAMETERS}
-        return {name: number for name, number in numbers.items() if number is not None}
-
-    def _numbers(self, distance: float) -> tuple[float, float, float | None, float | None]:
-        """Bounds, mean and sd; bounds that the file leaves out lie `distance` standard deviations out."""
-        mean, sd = (
-            moments(self.distribution, self.low, self.high, self._parameters) if self._parameters else (None, None)
-        )
-        low, high = self.low, self.high
-        if mean is not None and sd is not None and (low is None or high is None):
-            least, largest = quantiles_at(self.distribution, mean, sd, distance)
-            low, high = least if low is None else low, largest if high is None else high
-        assert low is not None
-        assert high is not None
-        return low, high, mean, None if self.distribution == "exponential" else sd
-
-    @property
-    def is_bounded(self) -> bool:
-        """Whether the file gives both bounds, or choices."""
-        return self.choices is not None or (self.low is not None and self.high is not None)
-
-    def parameter(self, name: str, distance: float) -> Parameter:
-        """The variable of the design space, under a name.
-
-        Args:
-            name: of the variable.
-            distance: where bounds lie that the file leaves out, in standard deviations of a normal variable.
-        """
-        if self.choices is not None:
-            features = tuple((feature, tuple(numbers)) for feature, numbers in self.quantities.items())
-            return Parameter.of_choices(name, self.choices, self.probabilities or (), self.unit, features)
-        low, high, mean, sd = self._numbers(distance)
-        return Parameter(name, low, high, self.unit, self.distribution, mean, sd, self.step)
-
-
-_MOST_RECORDS = 1000
-"""Most records of a variable."""
-
-_MEASURE = re.compile(r"factor|pga|pgv|sa:(\d+(?:\.\d+)?)")
-"""An intensity to which records are scaled (`activefail.intensity`)."""
-
-
-class SetVariable(Section):
-    """A variable whose values are the records of a set of ground motions, without order.
-
-    Attributes:
-        set: a set of FEMA P695 (farfield, nearfield, nearfield-pulse or nearfield-no-pulse), or a folder of records
-            beside the campaign file.
-        unit: unit of accelerations in files that state none: g, m/s2, cm/s2 or mm/s2.
-        dt: interval of samples in files that state none [s].
-        scaled_to: the variable or fixed quantity to which each record is scaled, with the intensity that it is: factor,
-            pga [g], pgv [m/s] or sa:T [g], as in { PGV = "pgv" }. If left out, the records are as they are.
-        probabilities: of the records; equal if left out.
-        digest: SHA-256 of the records' samples and intervals; other records are refused. activefail writes it to run
-            folders.
-        records: the events of the records, by their names; activefail writes them to run folders.
-    """
-
-    set: str = Field(min_length=1)
-    unit: str | None = None
-    dt: float | None = Field(None, gt=0.0)
-    scaled_to: dict[str, str] | None = Field(None, min_length=1, max_length=1)
-    probabilities: list[float] | None = None
-    digest: str | None = None
-    records: dict[str, str] | None = None
-
-    is_bounded: ClassVar = True
-    has_texts: ClassVar = True
-
-    @field_validator("scaled_to")
-    @classmethod
-    def _names_a_measure(cls, scaled_to: dict[str, str] | None) -> dict[str, str] | None:
-        for name, measure in (scaled_to or {}).items():
-            match = _MEASURE.fullmatch(measure)
-            if not match or (match[1] and not 0.01 <= float(match[1]) <= 100.0):
-                raise ValueError(
-                    f"{name} must be factor, pga, pgv, or sa:T with a period T from 0.01 to 100 s, got {measure!r}"
-                )
-        return scaled_to
-
-    @model_validator(mode="after")
-    def _is_known(self) -> Self:
-        if self.records is not None and self.digest is None:
-            raise ValueError("`records` requires `digest`; activefail writes both")
-        if self.records is not None and (fault := self.fault):
-            raise ValueError(fault)
-        return self
-
-    @property
-    def choices(self) -> list[Choice]:
-        """The names of the records, if they are known."""
-        return [*(self.records or {})]
-
-    @property
-    def fault(self) -> str:
-        """Why the records do not define a variable; empty if they do."""
-        fault = choices_fault(self.choices, self.probabilities or (), _MOST_RECORDS)
-        return fault.replace("`choices`", "the names of records").replace("choices", "records")
-
-    def parameter(self, name: str, _: float) -> Parameter:
-        """The variable of the design space, under a name (see `Variable.parameter`).
-
-        Raises:
-            InputError: if the records are not known.
-        """
-        if self.records is None:
-            raise InputError(f"space.{name}.set: cannot be read here; state it in a campaign file.")
-        n = len(self.records)
-        shares = tuple(self.probabilities or (1.0 / n,) * n)
-        groups = tuple(self.records.values())
-        return Parameter(name, 0.0, n - 1.0, step=1.0, choices=tuple(self.records), probabilities=shares, groups=groups)
-
-
-class FixedVariable(Section):
-    """A quantity of the simulator that is the same for every design.
-
-    Attributes:
-        value: the value, in its unit; in a question one of the choices, if the variable has some.
-        unit: unit as text.
-    """
-
-    value: Annotated[
-        Annotated[float, Field(ge=-LARGEST, le=LARGEST), Tag(NUMBER)] | Annotated[str, Tag(NAME)],
-        Discriminator(lambda value: NAME if isinstance(value, str) else NUMBER),
-    ]
-    unit: str = ""
 
 
 class BearingSettings(Section):
@@ -323,23 +34,20 @@ class BearingSettings(Section):
         tolerance: relative error per step of the integration.
     """
 
-    slider_diameter: float = Field(0.30, gt=0.0, lt=5.0)
+    slider_diameter: float = Field(0.30, gt=0.0, lt=WIDEST_SLIDER)
     restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
     restitution: Literal["pairwise", "assembly"] = "pairwise"
     slider_density: float = Field(7850.0, gt=0.0)
-    friction_velocity: float = Field(1e-3, gt=0.0, le=0.1)
+    friction_velocity: float = Field(1e-3, gt=0.0, le=WIDEST_REGULARISATION)
     loss_of_confinement: bool = True
     rim: Literal["rigid", "breaking", "yielding", "none"] = "rigid"
     rim_strength: float | None = Field(None, ge=0.0)
     rim_deformation: float | None = Field(None, gt=0.0)
-    tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
+    tolerance: float = Field(1e-4, ge=RELATIVE_TOLERANCES[0], le=RELATIVE_TOLERANCES[1])
 
     @model_validator(mode="after")
     def _is_a_model(self) -> Self:
-        try:
-            self.model()
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        built(self.model)
         return self
 
     def model(self) -> Model:
@@ -375,9 +83,7 @@ def means_safety(name: str) -> bool:
 Lost = Literal["unknown", "failure", "impossible"]
 """What a run without a result means."""
 
-CAUSES = Literal[
-    "worker_died", "time_limit", "out_of_memory", "raised", "unusable_answer", "not_finite", "numerical_failure"
-]
+LostCause = ExecutionCause | Literal["numerical_failure"]
 """Why a run has no result; `numerical_failure` is what the simulator itself says."""
 
 
@@ -406,19 +112,11 @@ class OutcomeSettings(Section):
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
     system: str | None = None
-    lost: Lost | dict[CAUSES, Lost] = "unknown"
+    lost: Annotated[
+        Annotated[Lost, Tag(NAME)] | Annotated[dict[LostCause, Lost], Tag(f"{WITH}meanings")],
+        Discriminator(name_or(f"{WITH}meanings")),
+    ] = "unknown"
     repeatable: bool | None = None
-
-    @field_validator("lost", mode="before")
-    @classmethod
-    def _is_a_meaning(cls, lost: object) -> object:
-        meanings, causes = get_args(Lost), get_args(CAUSES)
-        for cause, meaning in (lost if isinstance(lost, dict) else {causes[0]: lost}).items():
-            if cause not in causes:
-                raise ValueError(f"must name causes among {', '.join(causes)}, got {cause!r}")
-            if meaning not in meanings:
-                raise ValueError(f"must be one of {', '.join(meanings)}, or a table of these by cause, got {meaning!r}")
-        return lost
 
     def causes_that_mean(self, meaning: Lost) -> tuple[int, ...]:
         """Codes of the causes of lost runs that mean this; those from 0 on are the simulator's own."""
@@ -721,29 +419,9 @@ KINDS: dict[str, dict[str, type[Section]]] = {
 """Alternative tables of a setting, by the key that only they have."""
 
 
-def _kind_of_variable(entry: Any) -> str:
-    for key, section in VARIABLES.items():
-        if isinstance(entry, section) or (isinstance(entry, dict) and key in entry):
-            return f"{WITH}{key}"
-    return RANGE
-
-
-def by_key(sections: Mapping[str, type[Section]], has_names: bool = True) -> Discriminator:
-    """Discriminate a name, if there are names, from tables, and the tables by the key that only one of them has."""
-
-    def kind(value: Any) -> str:
-        for key, section in sections.items():
-            if isinstance(value, section) or (isinstance(value, dict) and key in value):
-                return f"{WITH}{key}"
-        return "" if isinstance(value, dict) or not has_names else NAME
-
-    keys = " or ".join(f"{WITH}`{key}`" for key in sections)
-    return Discriminator(kind, "no_such_table", f"must be {'a name, ' if has_names else ''}{keys}")
-
-
 StopRule = Annotated[
     Annotated[ErrorStop, Tag(f"{WITH}error")] | Annotated[ProbabilityStop, Tag(f"{WITH}probability")],
-    by_key(KINDS["stop"], has_names=False),
+    by_key(KINDS["stop"], otherwise=""),
 ]
 """A stop rule; `activefail.loop.stop_rule` says whether it is met."""
 
@@ -811,23 +489,12 @@ class AcquisitionSettings(Section):
     criterion: Annotated[
         Annotated[Criterion, Tag(NAME)] | Annotated[PythonSettings, Tag(f"{WITH}python")], by_key(KINDS["criterion"])
     ] = "joint_entropy"
-    boundary: str | dict[str, float] = "failure"
+    boundary: Annotated[
+        Annotated[str, Tag(NAME)]
+        | Annotated[dict[str, Annotated[float, Field(gt=0.0)]], Field(min_length=1), Tag(f"{WITH}weights")],
+        Discriminator(name_or(f"{WITH}weights")),
+    ] = "failure"
     exploration: float = Field(0.0, ge=0.0, le=1.0)
-
-    @field_validator("boundary", mode="before")
-    @classmethod
-    def _one_outcome_or_weights(cls, boundary: object) -> object:
-        if isinstance(boundary, dict):
-            if not boundary:
-                raise ValueError("must name at least one outcome, got {}")
-            for name, weight in boundary.items():
-                is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
-                # A TOML integer may be larger than any float.
-                if not (is_number and 0.0 < weight <= sys.float_info.max):
-                    raise ValueError(f"the weight of {name!r} must be a positive finite number, got {shown(weight)}")
-        elif not isinstance(boundary, str):
-            raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {shown(boundary)}")
-        return boundary
 
     @property
     def boundaries(self) -> dict[str, float]:
@@ -862,17 +529,6 @@ class Limits(Section):
     """
 
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
-
-
-VARIABLES: dict[str, type[Section]] = {"value": FixedVariable, "set": SetVariable}
-"""Tables of `space` that are no distributions, by the key that only they have."""
-
-AnyVariable = Annotated[
-    Annotated[Variable, Tag(RANGE)]
-    | Annotated[SetVariable, Tag(f"{WITH}set")]
-    | Annotated[FixedVariable, Tag(f"{WITH}value")],
-    Discriminator(_kind_of_variable),
-]
 
 
 class QuestionSettings(Section):

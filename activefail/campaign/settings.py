@@ -12,18 +12,15 @@ from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validato
 
 from activefail.bearing.design import TABLE_1
 from activefail.campaign.broken_rules import broken_rule
+from activefail.campaign.section import NAME, WITH, Section, by_key
 from activefail.campaign.sections import (
     KINDS,
-    NAME,
-    WITH,
     AcquisitionSettings,
-    AnyVariable,
     BearingSettings,
     ClassifierSettings,
     CommandSimulatorSettings,
     ElsewhereSettings,
     ErrorStop,
-    FixedVariable,
     Limits,
     ProbabilityStop,
     PythonFeaturesSettings,
@@ -31,14 +28,11 @@ from activefail.campaign.sections import (
     PythonSimulatorSettings,
     QuestionSettings,
     Sampling,
-    Section,
-    SetVariable,
     StopRule,
     Validation,
-    Variable,
-    by_key,
     usual_initial,
 )
+from activefail.campaign.variables import AnyVariable, FixedVariable, ReadSet, SetVariable, Variable
 from activefail.errors import InputError
 from activefail.expressions import parse_constraint
 from activefail.space import Constraint, DesignSpace, radius
@@ -63,21 +57,14 @@ def _is_strong(correlation: object) -> bool:
     )
 
 
-def _file_of(entry: AnyVariable) -> str:
-    """The file of features of a variable's choices, if it has not been read; empty otherwise."""
-    return entry.features if isinstance(entry, Variable) and isinstance(entry.features, str) else ""
-
-
 def _constraint(text: str, space: Mapping[str, AnyVariable]) -> Constraint:
     """A constraint of variables, features of their choices, and fixed quantities.
 
     Raises:
         ValueError: as `parse_constraint` does.
     """
-    features = {name: one.quantities for name, one in space.items() if isinstance(one, Variable)}
-    carriers = {feature: name for name, of in features.items() for feature in of}
-    texts = [name for name, one in space.items() if getattr(one, "has_texts", False)]
-    return parse_constraint(text, space, carriers, texts)
+    carriers = {feature: name for name, one in space.items() for feature in one.quantities}
+    return parse_constraint(text, space, carriers, [name for name, one in space.items() if one.has_texts])
 
 
 def _table_1() -> dict[str, AnyVariable]:
@@ -184,7 +171,7 @@ class CampaignSettings(Section):
             if isinstance(entry, FixedVariable) and isinstance(entry.value, str):
                 raise ValueError(f"{name}.value: must be a number, got {entry.value!r}")
             for level in (entry.scaled_to or {}) if isinstance(entry, SetVariable) else ():
-                if level not in space or getattr(space[level], "has_texts", False):
+                if level not in space or space[level].has_texts:
                     raise ValueError(f"{name}.scaled_to: must name a variable with numbers of the space, got {level!r}")
         return space
 
@@ -192,7 +179,7 @@ class CampaignSettings(Section):
     @classmethod
     def _are_conditions(cls, texts: list[str], info: ValidationInfo) -> list[str]:
         # Without a space, that has its own error; with a file that has not been read, names are unknown.
-        is_known = "space" in info.data and not any(_file_of(one) for one in info.data["space"].values())
+        is_known = "space" in info.data and not any(one.file for one in info.data["space"].values())
         for text in texts if is_known else ():
             _constraint(text, info.data["space"])
         return texts
@@ -207,23 +194,15 @@ class CampaignSettings(Section):
         return self
 
     @model_validator(mode="after")
-    def _verifies_what_can_be_wrong(self) -> Self:
-        for key, is_set in (("stop.error", self.error_rule is not None), ("validation.size", self.validation.size > 0)):
-            if is_set and not self.is_repeatable:
-                raise ValueError(f"`{key}` {IF_REPEATABLE}")
-        return self
-
-    @model_validator(mode="after")
-    def _takes_no_fresh_simulations_elsewhere(self) -> Self:
-        if isinstance(self.simulator, ElsewhereSettings):
-            rules = {
-                "stop.error": isinstance(self.stop, ErrorStop),
-                "validation.size": self.validation.size > 0,
-                "sampling.asynchronous": self.sampling.asynchronous,
-            }
-            for key, is_set in rules.items():
-                if is_set:
-                    raise ValueError(f"`{key}` {IF_CALLED}")
+    def _simulates_what_it_can(self) -> Self:
+        verifies = {"stop.error": self.error_rule is not None, "validation.size": self.validation.size > 0}
+        fresh = verifies | {"sampling.asynchronous": self.sampling.asynchronous}
+        for rules, is_met, rule in (
+            (verifies, self.is_repeatable, IF_REPEATABLE),
+            (fresh, not self.is_elsewhere, IF_CALLED),
+        ):
+            for key in [] if is_met else [key for key, is_set in rules.items() if is_set]:
+                raise ValueError(f"`{key}` {rule}")
         return self
 
     @property
@@ -281,10 +260,16 @@ class CampaignSettings(Section):
         """The settings as TOML with all defaults, as frozen in a run folder."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, by_alias=True))
 
-    @property
-    def feature_files(self) -> dict[str, str]:
-        """By variable, the files of features of its choices that have not been read."""
-        return {name: file for name, one in self.space.items() if (file := _file_of(one))}
+    def completed(self, folder: Path, read_set: ReadSet | None) -> "CampaignSettings":
+        """The settings with what files in the folder of the campaign file say of variables (see `Entry.completed`).
+
+        Raises:
+            InputError: naming the variable, the file, the row, the rule and the value.
+        """
+        space = {name: entry.completed(name, folder, read_set) for name, entry in self.space.items()}
+        changes = {f"space.{name}": one for name, one in space.items() if one is not self.space[name]}
+        written = {key: one.model_dump(mode="json") for key, one in changes.items()}
+        return self.changed(written, "files of space") if changes else self
 
     def changed(self, changes: Mapping[str, Any], source: str = "command line") -> "CampaignSettings":
         """The settings with other values for some keys, like "sampling.budget".

@@ -241,17 +241,18 @@ def prepare(folder: Path, plan: ComparisonPlan) -> None:
         InputError: if it holds another comparison or other files.
         StoreError: if a file or folder of it is a symbolic link.
     """
-    frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
+    text, judged_by = plan.settings.text(), f"\n# fresh designs to judge by: {plan.test}\n"
     path = folder / _DEFINITION
     refuse_links(folder, (_DEFINITION, _SCORES, _RUNS, _DESIGNS))
     if path.exists():
-        if path.read_text(encoding="utf-8") != frozen:
+        held = path.read_text(encoding="utf-8")
+        if not held.endswith(judged_by) or parse_settings(held, str(path)).text() != text:
             raise InputError(f"{folder}: holds a comparison of another campaign or test set; choose another folder.")
     else:
         check_empty(folder, "comparison", "Choose another one.")
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
-            file.write(frozen)
+            file.write(text + judged_by)
     for part in (_SCORES, _RUNS):
         (folder / part).mkdir(exist_ok=True)
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from activefail.campaign.sections import (
     CommandSimulatorSettings,
     ExpressionFeaturesSettings,
-    FixedVariable,
     PythonFeaturesSettings,
     PythonSimulatorSettings,
 )
 from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.variables import FixedVariable
 from activefail.loop.history import History
 from activefail.numerals import counted, outcomes_in_words
 from activefail.record.asked import Asked

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activefail.bearing import outcome as o
-from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import Check, DesignTable, Source, Table, Target, rereadable, writing
 from activefail.errors import InputError, TableWarning
 from activefail.files import replacing, target_of, writing_to
 from activefail.loop.history import History
+from activefail.parameter import LARGEST
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
 from activefail.record.labels import labels_of

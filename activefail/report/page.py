@@ -15,7 +15,7 @@ from activefail.campaign.provenance import provenance
 from activefail.campaign.question import has_pulse
 from activefail.comparison.equivalent import equivalent
 from activefail.comparison.static import given_in_words, median_score
-from activefail.distributions import in_words
+from activefail.distributions import FAMILIES
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
 from activefail.figures.classifier import LONG, length_scales, plot_length_scales, plot_reliability
@@ -63,7 +63,7 @@ def spread(parameter: Parameter) -> str:
     """A variable's distribution in words."""
     if parameter.choices:
         return choices_with_shares(parameter)
-    name = in_words(parameter.distribution)
+    name = FAMILIES[parameter.distribution].words
     if parameter.step is not None:
         name = f"{name}, in steps of {parameter.step:g}"
     if parameter.mean is None:

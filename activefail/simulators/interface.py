@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,10 @@ NUMERICAL_FAILURE = -1
 WORKER_DIED, TIME_LIMIT, OUT_OF_MEMORY, RAISED, UNUSABLE_ANSWER, NOT_FINITE = -1, -2, -3, -4, -5, -6
 """Causes of a numerical failure in the execution of a simulation, in addition to each simulator's causes."""
 
-EXECUTION_CAUSES = {
-    WORKER_DIED: "worker_died",
-    TIME_LIMIT: "time_limit",
-    OUT_OF_MEMORY: "out_of_memory",
-    RAISED: "raised",
-    UNUSABLE_ANSWER: "unusable_answer",
-    NOT_FINITE: "not_finite",
-}
+ExecutionCause = Literal["worker_died", "time_limit", "out_of_memory", "raised", "unusable_answer", "not_finite"]
+"""Their names, in this order."""
+
+EXECUTION_CAUSES: dict[int, str] = {-place: name for place, name in enumerate(get_args(ExecutionCause), 1)}
 
 
 def cause_name(causes: Sequence[str], code: int) -> str:

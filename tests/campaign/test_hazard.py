@@ -409,6 +409,15 @@ def test_a_question_with_velocities_in_another_unit_is_refused(tmp_path: Path, e
         read_question(path, TABLE_1, {})
 
 
+def test_a_question_cannot_give_choices_to_the_velocity(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text("space.PGV.choices = [0.5, 1.0]\n")
+    with pytest.raises(
+        InputError, match=r"space\.PGV\.choices: must be left out, as in the campaign, got \[0\.5, 1\.0\]"
+    ):
+        read_question(path, TABLE_1, {})
+
+
 TABLES = [
     ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
     ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),

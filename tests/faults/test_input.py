@@ -19,9 +19,9 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from activefail.bearing import TABLE_1
-from activefail.bearing.design import LARGEST
 from activefail.campaign.settings import CampaignSettings
 from activefail.expressions import FUNCTIONS, parsed_name
+from activefail.parameter import LARGEST
 from activefail.visible import visible
 
 Survived = Callable[[], None]
