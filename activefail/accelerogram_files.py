@@ -339,11 +339,7 @@ def _digits(line: str) -> int:
 
 
 def _numbers(line: str, k: int) -> Iterator[float]:
-    """The numbers of line k.
-
-    Raises:
-        InputError: naming the line and what is no number.
-    """
+    """The numbers of line k."""
     for part in filter(None, re.split(r"[\s,;]+", line.strip())):
         numbers = _WITH_POINT.findall(part)
         if "".join(numbers) != part or not all(number[0] in "+-" for number in numbers[1:]):

@@ -161,11 +161,7 @@ _OTHER_TIME = re.compile(r"\s*(?:/\s*\d|kHz|MHz|[uµμ]s\b|micro|min\b)", re.IGN
 
 
 def check_format(text: str) -> None:
-    """Refuse a file of a format that is not read.
-
-    Raises:
-        InputError: naming the format.
-    """
+    """Refuse a file of a format that is not read."""
     for name, pattern in FORMATS.items():
         if re.search(pattern, text, re.IGNORECASE | re.MULTILINE):
             raise InputError(f"is a file in {name}'s format, which activefail does not read (see docs/records.md).")

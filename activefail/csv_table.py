@@ -151,11 +151,7 @@ class Table:
         return cls("", columns, rows, [f"row {row}" for row in range(len(rows))])
 
     def require(self, names: Sequence[str]) -> None:
-        """Check that columns exist.
-
-        Raises:
-            InputError: naming the first that is missing.
-        """
+        """Check that columns exist."""
         for name in names:
             if name not in self.columns:
                 close = next((column for column in self.columns if may_be(name, column)), "")
@@ -366,9 +362,6 @@ class DesignTable:
             space: whose designs they are.
             adds: output columns, which the table must not contain.
             check: a rule for each design, in addition to finite numbers.
-
-        Raises:
-            InputError: naming the file, and row, column, rule and value of an invalid cell.
         """
         rows = 0
         for part in parts_of(source, ROWS_AT_ONCE):

@@ -85,11 +85,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
-    """Check that an output file has an existing folder and one of these suffixes; None is not checked.
-
-    Raises:
-        InputError: naming the file and the rule.
-    """
+    """Check that an output file has an existing folder and one of these suffixes; None is not checked."""
     if path is None:
         return
     if not path.absolute().parent.is_dir():

@@ -298,11 +298,7 @@ class DesignSpace:
         return feasible / drawn, drawn
 
     def check_feasible(self) -> None:
-        """Check that enough designs are feasible for samples.
-
-        Raises:
-            InputError: naming the constraints.
-        """
+        """Check that enough designs are feasible for samples."""
         if self.feasible_share < LEAST_FEASIBLE:
             raise InputError(
                 f"constraints: at least {100 * LEAST_FEASIBLE:g} % of the variables' distribution must meet "
@@ -458,9 +454,6 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
     copula's coefficient ρ₀ of a pair follows from the coefficient ρ of their values: ρ is the covariance of F₁⁻¹(Φ(z₁))
     and F₂⁻¹(Φ(ρ₀ z₁ + √(1 − ρ₀²) z₂)) divided by both standard deviations [LiuDerKiureghian1986, eq. 12].
     Values are those before they are rounded to a step.
-
-    Raises:
-        InputError: naming the entry of `correlation`.
     """
     choices = {parameter.name for parameter in parameters if parameter.choices}
     parameters = [parameter.continuous for parameter in parameters]

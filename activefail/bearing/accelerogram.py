@@ -118,11 +118,7 @@ class Accelerogram:
 
 
 def _checked(name: str, values: Array) -> Array:
-    """A component, which cannot be changed.
-
-    Raises:
-        InputError: naming the component, the sample, the rule and the value.
-    """
+    """A component, which cannot be changed."""
     try:
         checked = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -313,11 +313,7 @@ def table_1_rows(X: Array) -> Array:
 
 
 def check_designs(X: Array) -> Array:
-    """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units.
-
-    Raises:
-        InputError: naming the row, the column, the rule and the value of the first invalid entry.
-    """
+    """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units."""
     X = table_1_rows(X)
     bad = np.argwhere(~(np.isfinite(X) & (X > 0.0)))
     if len(bad):

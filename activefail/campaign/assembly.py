@@ -360,11 +360,7 @@ def _learner_references(settings: CampaignSettings) -> dict[str, str]:
 
 
 def _check_names(space: DesignSpace, simulator: Simulator) -> None:
-    """Check that every name of a campaign has one meaning: tables have one column of a name.
-
-    Raises:
-        InputError: naming the key, the name and its other meaning.
-    """
+    """Check that every name of a campaign has one meaning: tables have one column of a name."""
     predicted, former = predicted_columns(simulator.outcomes), [f"former_{name}" for name in simulator.margins]
     columns = (*_COLUMNS, "former_outcome", "former_cause", *former)
     meanings = dict.fromkeys(columns, "a column of tables of simulations")
@@ -381,11 +377,7 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
 
 
 def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
-    """Check that what boundaries are learned from exists, and that the stop rule's boundary is a target.
-
-    Raises:
-        InputError: naming the key and its value.
-    """
+    """Check that what boundaries are learned from exists, and that the stop rule's boundary is a target."""
     learns, custom = settings.classifier.learns, settings.simulator
     margins = simulator.margins if isinstance(custom, str) or custom.system is None else ("system",)
     if learns not in ("auto", "outcomes", *margins):
@@ -400,11 +392,7 @@ def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
 
 
 def _check_bearing(settings: CampaignSettings) -> None:
-    """Reject bearing settings that nothing would use. Frozen settings contain the defaults, which are accepted.
-
-    Raises:
-        InputError: naming the key and its value.
-    """
+    """Reject bearing settings that nothing would use. Frozen settings contain the defaults, which are accepted."""
     if settings.simulator == "dfp" or settings.classifier.features in ("sliding", "collision"):
         return
     default = sections.BearingSettings()

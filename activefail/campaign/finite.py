@@ -77,11 +77,7 @@ class FiniteValues:
 
 
 def _check(space: DesignSpace) -> None:
-    """Check that a distribution has finitely many values with probabilities of their own.
-
-    Raises:
-        InputError: naming the variables.
-    """
+    """Check that a distribution has finitely many values with probabilities of their own."""
     if continuous := [one.name for one in space.parameters if one.step is None]:
         example = ",".join(f"{one.name}={0.5 * (one.low + one.high):g}" for one in space.parameters if one.step is None)
         raise InputError(

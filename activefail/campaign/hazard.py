@@ -240,11 +240,7 @@ def is_of_hazard(values: Mapping[str, Any]) -> bool:
 
 
 def read_hazard(path: Path) -> Hazard:
-    """Read a hazard file.
-
-    Raises:
-        InputError: naming the file, the key, the rule and the value.
-    """
+    """Read a hazard file."""
     return hazard_of(read_toml(path), path)
 
 

@@ -59,9 +59,6 @@ class Inquiry:
             hazard, question: either, or its file; a question file may be a hazard file.
             fixed: values of variables, by name or in a TOML file.
             free: variables that get their values later.
-
-        Raises:
-            InputError: naming the file, the key, the rule and the value.
         """
         if hazard is not None and question is not None:
             raise InputError("question: cannot be combined with hazard.")
@@ -138,11 +135,7 @@ def _middles(space: DesignSpace, names: Collection[str]) -> dict[str, float]:
 
 
 def read_question(path: Path, space: DesignSpace, fixed: Mapping[str, float]) -> Question | Hazard:
-    """The question of a question file, with values of variables; or the hazard of a hazard file.
-
-    Raises:
-        InputError: naming the file, the key, the rule and the value.
-    """
+    """The question of a question file, with values of variables; or the hazard of a hazard file."""
     values = read_toml(path)
     if is_of_hazard(values):
         return hazard_of(values, path)
@@ -158,9 +151,6 @@ def check_designs_of(question: Question, simulator: Simulator, source: str) -> N
         question: the question.
         simulator: the campaign's; only one with a `check` is asked (see `simulators.interface.Simulator`).
         source: the file that gave the values, for the message; empty if none did.
-
-    Raises:
-        InputError: naming the source, the rule and the value.
     """
     check = getattr(simulator, "check", None)
     if check is None or question.is_own:

@@ -272,11 +272,7 @@ def _outwards(value: float, side: float) -> float:
 def question_of(
     section: QuestionSettings | None, space: DesignSpace, fixed: Mapping[str, float] | None = None
 ) -> Question:
-    """The question of a campaign file; its design measure if it asks none.
-
-    Raises:
-        InputError: naming the key, the rule and the value.
-    """
+    """The question of a campaign file; its design measure if it asks none."""
     if section is None:
         return asked_of(_OF_CAMPAIGN, space, {}, fixed) if fixed else Question.of_space(space)
     with naming("question."):
@@ -340,11 +336,7 @@ def _number_in(value: Any, of: Parameter, key: str) -> float:
 
 
 def check_names(names: Iterable[str], space: DesignSpace) -> None:
-    """Check names of variables.
-
-    Raises:
-        InputError: naming the first that is not a variable of the campaign.
-    """
+    """Check that names are those of variables of the campaign."""
     for name in names:
         if name in space.fixed:
             raise InputError(f"{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
@@ -392,11 +384,7 @@ def asked_of(
 def check_constraints(
     space: DesignSpace, fixed: Mapping[str, float], uncertain: Collection[str], is_table: bool = False
 ) -> None:
-    """Check that a campaign's constraints hold for values of variables, or can be kept for the uncertain ones.
-
-    Raises:
-        InputError: naming the constraint.
-    """
+    """Check that a campaign's constraints hold for values of variables, or can be kept for the uncertain ones."""
     values = space.quantities(fixed)
     written = space.written(fixed)
     for constraint in space.constraints:
@@ -423,11 +411,7 @@ def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str,
 
 
 def check_pulse(space: DesignSpace, what: str) -> None:
-    """Check that a campaign's variables contain a pulse, whose values are numbers in a range.
-
-    Raises:
-        InputError: naming `what` needs it.
-    """
+    """Check that a campaign's variables contain a pulse, whose values are numbers in a range."""
     for name, unit in ((PERIOD, "s"), (AMPLITUDE, "g")):
         if (one := space.by_name.get(name)) is None:
             known = ", ".join(space.names)
@@ -438,11 +422,7 @@ def check_pulse(space: DesignSpace, what: str) -> None:
 
 
 def check_no_choices(name: str, space: DesignSpace, what: str) -> None:
-    """Check that a variable has no choices, because `what` gives it other values.
-
-    Raises:
-        InputError: naming `what`, the variable and its choices.
-    """
+    """Check that a variable has no choices, because `what` gives it other values."""
     one = space.by_name.get(name)
     if one is not None and one.choices:
         raise InputError(f"{what}: requires {name} without choices, but it {one.rule} in the campaign.")
@@ -465,9 +445,6 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
         title: in words, if the section has no description.
         space: of the campaign.
         further: values of variables.
-
-    Raises:
-        InputError: naming the key, the rule and the value.
     """
     known, of_velocity = space.by_name, _replaces_amplitude(section.space, space.names)
     if of_velocity:
@@ -505,9 +482,6 @@ def _restated(own: Parameter, entry: Variable | Choices, distance: float) -> Par
     """A variable of a campaign with the distribution of a question: in the campaign's steps, or of its choices.
 
     Bounds that the question leaves out are the next values outwards.
-
-    Raises:
-        InputError: naming the key, the rule and the value.
     """
     with naming(": "):
         one = entry.parameter(own.name, distance)

@@ -96,9 +96,6 @@ class ResultTable:
         """The results of designs that were handed out.
 
         A row without any result is skipped in a file, which is filled in bit by bit. In Python, NaN may be a result.
-
-        Raises:
-            InputError: naming row, column, rule and value of the first cells that break a rule.
         """
         table = reading.table(campaign, table)
         _require(table, [_ID])
@@ -121,11 +118,7 @@ class ResultTable:
 
     @classmethod
     def added(cls, campaign: Campaign, table: Table, reading: Reading) -> Self:
-        """Simulations that were not asked for.
-
-        Raises:
-            InputError: naming row, column, rule and value of the first cells that break a rule.
-        """
+        """Simulations that were not asked for."""
         table = reading.table(campaign, table)
         space = campaign.space
         _require(table, space.names)
@@ -326,11 +319,7 @@ def _known(campaign: Campaign) -> list[str]:
 
 
 def _check_units(space: DesignSpace, table: Table, names: Mapping[str, str]) -> None:
-    """Check that columns whose titles state another unit than the variable's have a factor; without one, no percent.
-
-    Raises:
-        InputError: naming both.
-    """
+    """Check that columns whose titles state another unit than the variable's have a factor; without one, no percent."""
     units = {one.name: one.unit for one in space.parameters}
     for name, text in names.items():
         known = units.get(name, "")
@@ -353,11 +342,7 @@ def _way(name: str, column: str) -> str:
 
 
 def _require(table: Table, names: Sequence[str]) -> None:
-    """Check that columns exist.
-
-    Raises:
-        InputError: naming the first that is missing, and what may be it.
-    """
+    """Check that columns exist."""
     try:
         table.require(names)
     except InputError as error:
@@ -370,11 +355,7 @@ def _require(table: Table, names: Sequence[str]) -> None:
 
 
 def _require_result(campaign: Campaign, table: Table) -> None:
-    """Check that a table has the outcome, or the only margin, if that decides it.
-
-    Raises:
-        InputError: naming the columns.
-    """
+    """Check that a table has the outcome, or the only margin, if that decides it."""
     deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) or campaign.system else ())]
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))

@@ -261,11 +261,7 @@ class CampaignSettings(Section):
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, by_alias=True))
 
     def completed(self, folder: Path, read_set: ReadSet | None) -> "CampaignSettings":
-        """The settings with what files in the folder of the campaign file say of variables (see `Entry.completed`).
-
-        Raises:
-            InputError: naming the variable, the file, the row, the rule and the value.
-        """
+        """The settings with what files in the folder of the campaign file say of variables (see `Entry.completed`)."""
         space = {name: entry.completed(name, folder, read_set) for name, entry in self.space.items()}
         changes = {f"space.{name}": one for name, one in space.items() if one is not self.space[name]}
         written = {key: one.model_dump(mode="json") for key, one in changes.items()}
@@ -304,9 +300,6 @@ def checked(section: type[SectionType], values: dict[str, Any], source: str) -> 
         section: the kind of settings.
         values: their values.
         source: names the settings in errors.
-
-    Raises:
-        InputError: naming the source, and for each error the key path, the rule and the value.
     """
     try:
         return section.model_validate(values)
@@ -322,11 +315,7 @@ _MOST_DOTS = 200
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The values of TOML.
-
-    Raises:
-        InputError: naming the source and the fault.
-    """
+    """The values of TOML."""
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".") > _MOST_DOTS:
             raise InputError(f"{source}: line {number}: must have at most {_MOST_DOTS} dots, has {line.count('.')}")
@@ -343,11 +332,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _check_texts(values: object, source: str) -> None:
-    """Check that no text has a NUL, which no name of a file may contain.
-
-    Raises:
-        InputError: naming the source.
-    """
+    """Check that no text has a NUL, which no name of a file may contain."""
     if isinstance(values, dict):
         values = [*values, *values.values()]
     for value in values if isinstance(values, list) else [values]:
@@ -385,9 +370,6 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
     Args:
         text: the TOML.
         source: names the text in errors.
-
-    Raises:
-        InputError: naming the source, and for each error the key path, the rule and the value.
     """
     return checked(CampaignSettings, parse_toml(text, source), source)
 

@@ -54,9 +54,6 @@ class Entry(Section):
             folder: of the campaign file.
             read_set: reads the records of a set (`activefail.motions.read_motions`), which loads the bearing's kernels;
                 None if it must have them, because it may come from someone else.
-
-        Raises:
-            InputError: naming the variable, the file, the row, the rule and the value.
         """
         return self
 

@@ -67,11 +67,7 @@ def refuse_format_1(folder: Path) -> None:
 
 
 def check_output(option: str, path: Path | None) -> None:
-    """Check, before any work, that an output path is not reserved by a run folder.
-
-    Raises:
-        InputError: naming the option and the file.
-    """
+    """Check, before any work, that an output path is not reserved by a run folder."""
     if path is None:
         return
     if run_folder_owning(path) is not None:

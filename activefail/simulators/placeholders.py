@@ -53,9 +53,6 @@ def check_command(command: str, quantities: Mapping[str, Value]) -> None:
     Args:
         command: the program and its arguments.
         quantities: examples of the variables and the fixed quantities by name, integers where they are whole numbers.
-
-    Raises:
-        InputError: naming the rule and the command.
     """
     try:
         parts = shlex.split(command)
