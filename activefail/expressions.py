@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from activefail.bearing.design import GRAVITY
 from activefail.space import Constraint
 
-CONSTANTS = {"pi": float(np.pi), "g": GRAVITY}
+CONSTANTS = {"pi": float(np.pi), "g": 9.80665}
 """Named constants; g is the acceleration of free fall [m/s²]."""
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {

@@ -1,9 +1,7 @@
-"""The classifier's features of a design: the paper's six, the variables, variables with physics, or custom ones."""
+"""The classifier's features of a design: the variables, those of a plug-in, formulas, or custom ones."""
 
-import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,31 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.bearing.collision import COLLISION_FEATURES, collision_features
-from activefail.bearing.design import GRAVITY, TABLE_1, Model
-from activefail.bearing.record_features import RECORD_FEATURES, record_features
-from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import Expression, check_no_texts, parse_expression
-from activefail.motions import Motions
-from activefail.names import FeatureSet
 from activefail.parameter import Parameter
+from activefail.plugins import brought
 from activefail.space import Array, DesignSpace
-
-PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
-"""Names of the paper's features, in the order of its section 3.1."""
-
-PAPER_LOGARITHMIC = (True, True, True, False, False, True)
-"""Whether each enters as its logarithm: the ratios that span decades over Table 1."""
-
-
-def paper_features(X: Array) -> Array:
-    """The paper's six features (section 3.1) of designs in Table 1's order and units, (n, 9) -> (n, 6), SI units."""
-    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = np.asarray(X).T
-    pulse_displacement = A_p * GRAVITY * (T_p / (2.0 * np.pi)) ** 2
-    stiffness = k / (p * 1e6 * pulse_displacement**0.5)
-    return np.column_stack([pulse_displacement / D_tot, T_b / T_p, mu / A_p, h_sl_ratio, h_rim_ratio, stiffness])
-
 
 _EQUAL = 1e-3
 """Standard deviation of the logarithm of an intensity below which all records count as equally intense."""
@@ -44,8 +22,8 @@ _EQUAL = 1e-3
 FARTHEST = 1e9
 """Most standard deviations from its mean of a feature of a design to learn from: beyond, squares lose the space."""
 
-_LEAST_PART = 64
-"""Fewest designs per thread: computing their features takes about 10 ms."""
+FEATURE_SETS = ("design", "decorrelated")
+"""Names of the features that need no plug-in."""
 
 
 @dataclass(frozen=True)
@@ -196,20 +174,10 @@ class ExpressionFeatures:
     variables: bool = True
 
 
-def _on_all_cores(function: Callable[[Array], Array], X: Array) -> Array:
-    """function(X) in parallel on parts of X, for compiled kernels that hold no lock and treat rows independently."""
-    cores = os.cpu_count() or 1
-    if cores == 1 or len(X) < 2 * _LEAST_PART:
-        return function(X)
-    parts = np.array_split(X, min(len(X) // _LEAST_PART, 4 * cores))
-    with ThreadPoolExecutor(cores) as pool:
-        return np.concatenate(list(pool.map(function, parts)))
-
-
 def feature_map(
-    features: FeatureSet | CustomFeatures | ExpressionFeatures,
+    features: str | CustomFeatures | ExpressionFeatures,
     space: DesignSpace,
-    model: Model | None = None,
+    physics: Any = None,
     check: bool = True,
 ) -> FeatureMap:
     """A feature set on a design space, scaled by its mean and standard deviation over the design measure.
@@ -218,74 +186,44 @@ def feature_map(
     Ratios enter as logarithms: over Table 1 they span up to three decades.
 
     Args:
-        features: "paper"; "design", the variables; "decorrelated", each variable without what correlated ones before
-            it say; "sliding", the variables and the sliding block's features; "collision", these and the features of
-            the reduced collision model; or custom features. Log-uniform and lognormal variables enter as logarithms.
+        features: "design", the variables; "decorrelated", each variable without what correlated ones before it say;
+            the name of a plug-in's features; or custom features. Log-uniform and lognormal variables enter as
+            logarithms.
         space: the design space.
-        model: settings of the bearing model that the sliding block and the reduced model share.
+        physics: settings of the campaign's simulator that a plug-in's features share.
         check: whether to compute, and so to check, the scaling now; at its first use otherwise.
 
     Raises:
-        InputError: if "paper", "sliding" or "collision" is requested for a space without the paper's nine variables, or
-            if a feature is not finite over the space, or constant, or varies too little or too much to be scaled.
+        InputError: if no features have this name or the space does not suit them, or if a feature is not finite over
+            the space, or constant, or varies too little or too much to be scaled.
     """
-    mapped = _mapped(features, space, model)
+    mapped = _mapped(features, space, physics)
     if check:
         _ = mapped.scaling
     return mapped
 
 
-def _mapped(
-    features: FeatureSet | CustomFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None
-) -> FeatureMap:
+def _mapped(features: str | CustomFeatures | ExpressionFeatures, space: DesignSpace, physics: Any) -> FeatureMap:
     match features:
         case "design":
-            names = tuple(name for parameter in space.parameters for name in _names_of(parameter))
-            return _scaled(names, lambda X: variable_columns(space, X), space, _logarithms(space))
+            return _of_variables(space)
         case "decorrelated":
             return _decorrelated(space)
-        case "paper":
-            _check_bearing(features, space)
-            return _of_paper(space)
-        case "sliding":
-            _check_bearing(features, space)
-            return _with_physics(SLIDING_FEATURES, lambda table: sliding_features(table, model), space)
-        case "collision":
-            for column, one in enumerate(space.parameters):
-                if one.payload is not None:
-                    return _under_records(space, one.payload, column, model)
-            _check_bearing(features, space)
-            return _with_physics(
-                (*SLIDING_FEATURES, *COLLISION_FEATURES),
-                lambda table: np.column_stack([sliding_features(table, model), collision_features(table, model)]),
-                space,
-            )
         case CustomFeatures():
             return _custom(features, space)
         case ExpressionFeatures():
             return _of_expressions(features, space)
         case _:
-            raise InputError(f"`features` must be paper, design, decorrelated, sliding or collision, got {features!r}.")
+            known = brought("features")
+            if features not in known:
+                raise InputError(f"`features` must be one of {', '.join((*FEATURE_SETS, *known))}, got {features!r}.")
+            named: FeatureMap = known[features](space, physics)
+            return named
 
 
-def _check_bearing(features: str, space: DesignSpace, names: Sequence[str] = TABLE_1.names) -> None:
-    for name in names:
-        if name not in space.known:
-            raise InputError(
-                f"classifier.features: {features!r} requires the variables of a bearing, but space lacks the variable "
-                f"{name!r}; its variables are {', '.join(space.known)}."
-            )
-
-
-def _of_paper(space: DesignSpace) -> FeatureMap:
-    if min(space.range_of(name)[0] for name in TABLE_1.names) <= 0.0:
-        raise InputError("The paper's features require positive variables, but a lower bound is not positive.")
-    return _scaled(
-        PAPER_FEATURES,
-        lambda X: paper_features(space.table(X, TABLE_1.names)),
-        space,
-        PAPER_LOGARITHMIC,
-    )
+def _of_variables(space: DesignSpace) -> FeatureMap:
+    names = tuple(name for parameter in space.parameters for name in _names_of(parameter))
+    return scaled(names, lambda X: variable_columns(space, X), space, logarithms(space))
 
 
 def _decorrelated(space: DesignSpace) -> FeatureMap:
@@ -294,7 +232,7 @@ def _decorrelated(space: DesignSpace) -> FeatureMap:
     w is linear in the variables (or their logarithms), so a smooth margin remains smooth. The standard normal values of
     the copula are not: those of a uniform variable go to infinity at its bounds.
     """
-    design = _mapped("design", space, None)
+    design = _of_variables(space)
     if space.factor is None:
         return design
     from scipy.linalg import solve_triangular
@@ -307,43 +245,20 @@ def _decorrelated(space: DesignSpace) -> FeatureMap:
         f"{name}_given_{'_'.join(design.names[j] for j in np.flatnonzero(L[i, :i]))}" if L[i, :i].any() else name
         for i, name in enumerate(design.names)
     )
-    return _scaled(names, lambda X: solve_triangular(L, design(X).T, lower=True).T, space)
+    return scaled(names, lambda X: solve_triangular(L, design(X).T, lower=True).T, space)
 
 
-def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:
-    """The variables and features of the physics, a function of designs in Table 1's order and units."""
-    return _joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space)
-
-
-def _under_records(space: DesignSpace, payload: Motions, column: int, model: Model | None) -> FeatureMap:
-    """The other variables, and the features of the bearing's cheap models under the scaled records of a variable."""
-    of_bearing = TABLE_1.names[:7]
-    _check_bearing("collision", space, of_bearing)
-    others = DesignSpace((*space.parameters[:column], *space.parameters[column + 1 :]), space.fixed)
-
-    def raw(X: Array) -> Array:
-        # A question about one bearing repeats few designs.
-        rows, place = np.unique(X, axis=0, return_inverse=True)
-        which = rows[:, column].astype(np.intp)
-        motions = [record.motion for record in payload()]
-        factors = payload.factors(which, _quantities(space, rows))
-        physics = record_features(space.table(rows, of_bearing), motions, which, factors, model)
-        return np.column_stack([variable_columns(others, np.delete(X, column, axis=1)), physics[place]])
-
-    return _scaled((*_mapped("design", others, None).names, *RECORD_FEATURES), raw, space, _logarithms(others))
-
-
-def _joined(
+def joined(
     names: tuple[str, ...], further: Callable[[Array], Array], space: DesignSpace, variables: bool = True
 ) -> FeatureMap:
     """Further features of designs, (n, d) -> (n, m), after the variables unless these are left out."""
     if not variables:
-        return _scaled(names, further, space)
+        return scaled(names, further, space)
 
     def raw(X: Array) -> Array:
         return np.column_stack([variable_columns(space, X), further(X)])
 
-    return _scaled((*_mapped("design", space, None).names, *names), raw, space, _logarithms(space))
+    return scaled((*_of_variables(space).names, *names), raw, space, logarithms(space))
 
 
 def _names_of(parameter: Parameter) -> tuple[str, ...]:
@@ -363,7 +278,7 @@ def variable_columns(space: DesignSpace, X: Array) -> Array:
     """
     if not any(parameter.choices for parameter in space.parameters):
         return np.asarray(X)
-    quantities = _quantities(space, X)
+    quantities = quantities_of(space, X)
 
     def columns_of(one: Parameter, x: Array) -> Array:
         if one.payload is not None:
@@ -375,7 +290,8 @@ def variable_columns(space: DesignSpace, X: Array) -> Array:
     return np.column_stack([columns_of(one, x) for one, x in zip(space.parameters, np.asarray(X).T, strict=True)])
 
 
-def _quantities(space: DesignSpace, X: Array) -> dict[str, Any]:
+def quantities_of(space: DesignSpace, X: Array) -> dict[str, Any]:
+    """The values, (n,), of variables, fixed quantities and features of choices of designs, (n, d), by name."""
     return space.quantities(dict(zip(space.names, np.asarray(X, dtype=np.float64).T, strict=True)))
 
 
@@ -392,15 +308,15 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
         return F
 
     names = tuple(f"{custom.name}[{column}]" for column in range(width))
-    scaled = _joined(names, checked, space, custom.variables)
+    mapped = joined(names, checked, space, custom.variables)
     # A function that normalises over its rows would give one design different features.
     X = space.sobol(64, np.random.default_rng(1))
-    if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
+    if not np.allclose(mapped(X)[:7], mapped(X[:7]), rtol=1e-9, atol=1e-9):
         raise InputError(
             f"classifier.features: {custom.name} must return the same features for a design, "
             "regardless of the other designs."
         )
-    return scaled
+    return mapped
 
 
 def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
@@ -416,14 +332,14 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
             raise InputError(f"classifier.features.expressions.{name}: {error}.") from None
 
     def further(X: Array) -> Array:
-        quantities = _quantities(space, X)
+        quantities = quantities_of(space, X)
         with np.errstate(all="ignore"):  # `scaling` reports values that are not finite
             return np.column_stack([np.broadcast_to(one(quantities), len(X)) for one in expressions])
 
-    return _joined(tuple(features.expressions), further, space, features.variables)
+    return joined(tuple(features.expressions), further, space, features.variables)
 
 
-def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
+def logarithms(space: DesignSpace) -> tuple[bool, ...]:
     """Whether each variable, or each of its columns, enters as its logarithm."""
     names = ("log_uniform", "lognormal")
     return tuple(
@@ -433,13 +349,13 @@ def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
     )
 
 
-def _scaled(
+def scaled(
     names: tuple[str, ...],
     raw: Callable[[Array], Array],
     space: DesignSpace,
     logarithmic: tuple[bool, ...] = (),
 ) -> FeatureMap:
-    # `logarithmic` may cover only the first features.
+    """Features by their names and a function of designs, (n, d) -> (n, m); `logarithmic` may cover only the first."""
     mask = np.arange(len(names)) < 0
     mask[: len(logarithmic)] = logarithmic
     return FeatureMap(names, raw, mask, space)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,6 @@ from activefail.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.stats.distributions import rv_frozen
-
-    from activefail.motions import Motions
 
 Array = NDArray[np.float64]
 
@@ -138,6 +136,36 @@ def _normal_quantile(p: Array, q: Array) -> Array:
     return np.asarray(np.clip(z, -_FARTHEST, _FARTHEST))
 
 
+class Payload(Protocol):
+    """What the choices of a variable stand for, such as the records of a set. To pickle it pickles no object."""
+
+    @property
+    def level(self) -> str:
+        """The quantity that scales the object; empty if none does."""
+        ...
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """The names of the features by which the classifier sees the variable."""
+        ...
+
+    def __call__(self) -> Sequence[Any]:
+        """The object of each choice."""
+        ...
+
+    def factors(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
+        """By what the object of each design is multiplied, (n,); see `features`."""
+        ...
+
+    def in_design(self, number: int, quantities: Mapping[str, Any]) -> Any:
+        """The object of a choice, as a simulator gets it in a design with these quantities."""
+        ...
+
+    def features(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
+        """The positive features of designs, (n, m), by the number of their choice, (n,), and their quantities."""
+        ...
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One variable of the design space, between `low` and `high` (in `unit`).
@@ -163,7 +191,7 @@ class Parameter:
         probabilities: of the choices.
         groups: of each choice, what it belongs to: the event of a record. Choices of one group are not independent
             samples of their kind. None if the choices are no sample.
-        payload: the records that the choices stand for; None if they are nothing but texts or numbers.
+        payload: what the choices stand for; None if they are nothing but texts or numbers.
         features: quantities that follow from the choice. The classifier sees them in place of the choice.
 
     Raises:
@@ -181,7 +209,7 @@ class Parameter:
     choices: tuple[Choice, ...] = field(default=(), repr=False)
     probabilities: tuple[float, ...] = field(default=(), repr=False)
     groups: tuple[str, ...] | None = field(default=None, repr=False)
-    payload: "Motions | None" = field(default=None, repr=False)
+    payload: Payload | None = field(default=None, repr=False)
     features: Features = field(default=(), repr=False)
 
     @classmethod

@@ -23,8 +23,8 @@ from study import asked, head, line, percent
 
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NO_IMPACT
-from activefail.features import paper_features
 from activefail.figures.outcome_planes import EXPONENTS, LOGARITHMIC
+from activefail.seismic.features import paper_features
 
 COLUMNS = list(LOGARITHMIC)
 

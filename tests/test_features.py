@@ -8,8 +8,9 @@ from activefail.bearing import TABLE_1, Model
 from activefail.bearing.collision import collision_features
 from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
-from activefail.features import PAPER_FEATURES, CustomFeatures, feature_map, paper_features
+from activefail.features import CustomFeatures, feature_map
 from activefail.parameter import Parameter
+from activefail.seismic.features import PAPER_FEATURES, paper_features
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.latent import VariationalGP
 from activefail.surrogate.margin import MarginLatent, fit_margin
@@ -189,7 +190,9 @@ def test_the_papers_features_of_a_space_that_reaches_to_zero_are_refused(low: fl
 
 
 def test_an_unknown_feature_set_is_refused_with_rule_and_value() -> None:
-    with pytest.raises(InputError, match=r"must be paper, design, decorrelated, sliding or collision, got 'fourier'"):
+    with pytest.raises(
+        InputError, match=r"must be one of design, decorrelated, paper, sliding, collision, got 'fourier'"
+    ):
         feature_map("fourier", TABLE_1)  # type: ignore[arg-type]
 
 

@@ -21,7 +21,7 @@ from activefail.comparison.measures import NEIGHBOURS, FreshSet, displaced, meas
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
 from activefail.execution.pool import ProcessPool
-from activefail.execution.processes import stopping
+from activefail.execution.worker import stopping
 from activefail.files import replacing
 from activefail.loop.history import History
 from activefail.loop.progress import Observer

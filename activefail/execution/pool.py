@@ -18,7 +18,7 @@ class ProcessPool:
     It guarantees:
 
     - Ctrl-C reaches this process only.
-    - After `ask_to_stop`, `processes.stopping()` is true in all of them, so that a call can end early.
+    - After `ask_to_stop`, `worker.stopping()` is true in all of them, so that a call can end early.
     - The end of the block cancels waiting calls, and waits for running ones.
     - If an exception leaves the block, or this process dies, the others end at once.
     - If one of them dies, all calls raise SimulationError.

@@ -46,7 +46,7 @@ def main(program: int, connection: int) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, signals | {signal.SIGINT})
         os.setsid()  # also a new process group, which can be killed as one
         _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        from activefail.execution.processes import serve
+        from activefail.execution.worker import serve
 
         serve(connection)
     os.close(connection)

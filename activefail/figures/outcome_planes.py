@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
-from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.axes import (
     axis_limits,
     colour_bar,
@@ -28,6 +27,7 @@ from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, fitting_size, letters, styled
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.findings.results import Findings, Prediction, predict
+from activefail.seismic.features import PAPER_FEATURES, paper_features
 from activefail.space import Array, DesignSpace
 
 GRID, _FINE = 44, 150

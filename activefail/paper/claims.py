@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from statsmodels.stats.proportion import proportion_confint
 
-from activefail.features import PAPER_FEATURES
 from activefail.paper import published
 from activefail.paper.study import SIGNIFICANCE, Draw, Study, significant_share
 from activefail.sample_mean import Estimate, Interval, contains
+from activefail.seismic.features import PAPER_FEATURES
 from activefail.space import Array
 
 REPRODUCED, BY_CHANCE, NOT_REPRODUCED = "reproduced", "within one sample's spread", "**not reproduced**"

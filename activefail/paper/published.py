@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from activefail.bearing.design import GRAVITY, TABLE_1
-from activefail.features import PAPER_FEATURES, paper_features
+from activefail.seismic.features import PAPER_FEATURES, paper_features
 from activefail.space import Array
 
 TABLE_2: tuple[tuple[str, float], ...] = (

@@ -21,11 +21,12 @@ from activefail.bearing.simulation import simulate
 from activefail.comparison.measures import expected_calibration_error
 from activefail.errors import InputError
 from activefail.execution.pool import ProcessPool
-from activefail.features import feature_map, paper_features
+from activefail.features import feature_map
 from activefail.loop.history import History
 from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
 from activefail.paper.published import tilted
+from activefail.seismic.features import paper_features
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent

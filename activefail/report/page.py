@@ -17,7 +17,6 @@ from activefail.comparison.equivalent import equivalent
 from activefail.comparison.static import given_in_words, median_score
 from activefail.distributions import FAMILIES
 from activefail.errors import InputError
-from activefail.features import PAPER_FEATURES
 from activefail.figures.classifier import LONG, length_scales, plot_length_scales, plot_reliability
 from activefail.figures.curves import plot_learning_curves
 from activefail.figures.motion import plot_snapshots
@@ -42,6 +41,7 @@ from activefail.report.environment import page_environment
 from activefail.report.evidence import Curve, Evidence, Reliability
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
+from activefail.seismic.features import PAPER_FEATURES
 from activefail.shares import choices_with_shares, significant
 from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL

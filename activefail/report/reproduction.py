@@ -11,7 +11,6 @@ from scipy.stats import binomtest
 
 from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.features import PAPER_FEATURES
 from activefail.figures.classifier import plot_reliability
 from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
 from activefail.files import writing_to
@@ -24,6 +23,7 @@ from activefail.paper.study import METHODS, Draw, Study, Variant
 from activefail.report.analyses import write_folder
 from activefail.report.environment import markdown_environment
 from activefail.sample_mean import Estimate, contains
+from activefail.seismic.features import PAPER_FEATURES
 from activefail.space import Array
 
 TITLES = {

@@ -13,7 +13,7 @@ from patience import until
 
 from activefail.errors import SimulationError
 from activefail.execution.pool import ProcessPool
-from activefail.execution.processes import stopping
+from activefail.execution.worker import stopping
 
 
 def note(path: Path) -> None:

@@ -15,7 +15,6 @@ from scipy.special import expit
 from activefail.bearing import TABLE_1, Model, simulate
 from activefail.cli import main
 from activefail.comparison.measures import expected_calibration_error
-from activefail.features import paper_features
 from activefail.figures.paper_planes import PLANES
 from activefail.paper import published
 from activefail.paper import study as paper
@@ -24,6 +23,7 @@ from activefail.paper.methods import logistic_regression
 from activefail.paper.study import METHODS, SPLITS, TILTED, VARIANTS, Draw, Logistic, Process, run_study
 from activefail.report.reproduction import render, table_2, write_reproduction
 from activefail.sample_mean import Estimate
+from activefail.seismic.features import paper_features
 
 DOCS = Path(__file__).parents[2] / "docs"
 STUDY = {"draws": 2, "fresh": 60, "seed": 3}

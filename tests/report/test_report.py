@@ -23,7 +23,6 @@ from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
 from activefail.comparison.static import remember_scores
 from activefail.execution.local import ThreadExecutor
-from activefail.features import paper_features
 from activefail.figures import curves, outcome_planes, samples, svg
 from activefail.figures.axes import outcome_colour
 from activefail.findings import quantities
@@ -34,6 +33,7 @@ from activefail.loop.running import run
 from activefail.parameter import Parameter
 from activefail.record.run_folder import FolderStore
 from activefail.report import environment, evidence, page
+from activefail.seismic.features import paper_features
 from activefail.shares import significant
 from activefail.surrogate.threads import one_thread
 from activefail.verification.scores import Recall, Score

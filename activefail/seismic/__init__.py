@@ -1,0 +1,7 @@
+"""Bearings, ground motions and hazards: a plug-in that ships with activefail."""
+
+FEATURES = {
+    "paper": "activefail.seismic.features:of_paper",
+    "sliding": "activefail.seismic.features:of_sliding",
+    "collision": "activefail.seismic.features:of_collision",
+}
