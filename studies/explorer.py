@@ -15,12 +15,12 @@ import numpy as np
 from study import asked, head, line
 
 from activefail.campaign.on_disk import open_campaign
-from activefail.explorer.answers import Answers
+from activefail.explorer.campaign import OneDesign, Slow
 from activefail.findings.results import findings_of
 from activefail.loop.learning import current
 from activefail.surrogate.threads import one_thread
 
-GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}
+GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation, with its histories as a figure": 300}
 """Within which an answer is felt as at once [ms]."""
 
 
@@ -34,13 +34,13 @@ def waited(ask, designs):
     return taken
 
 
-def waited_among_planes(answers, designs):
+def waited_among_planes(one, designs):
     """The same for predictions, a twentieth of a second apart, while another thread requests planes."""
     over = threading.Event()
 
     def planes():
         while not over.is_set():
-            answers.plane(designs[0], 0, 1, answers.outcomes[-1])
+            one.plane(designs[0])
 
     other = threading.Thread(target=planes)
     other.start()
@@ -48,7 +48,7 @@ def waited_among_planes(answers, designs):
         taken = []
         for design in designs:
             time.sleep(0.05)
-            taken += waited(answers.predict, [design])
+            taken += waited(one.predict, [design])
     finally:
         over.set()
         other.join()
@@ -60,18 +60,20 @@ def main():
     with one_thread():
         with open_campaign(options.run, write=False) as (campaign, store):
             classifier = current(campaign, store, write=False).classifier
-            answers = Answers(findings_of(options.run, campaign, store, classifier))
-        designs = campaign.space.latin_hypercube(options.n, np.random.default_rng(0)).tolist()
+            slow = Slow(lambda: classifier, lambda: None, lambda: None)
+            one = OneDesign(findings_of(options.run, campaign, store, classifier), slow)
+        *_, across, up = names = campaign.space.names
+        shown = {"across": across, "up": up, "shown": one.outcomes[-1], "along": up}
+        drawn = campaign.space.latin_hypercube(options.n, np.random.default_rng(0)).tolist()
+        designs = [dict(zip(names, X, strict=True)) | shown for X in drawn]
         few = designs[: max(2, options.n // 5)]
-        last = len(designs[0]) - 1
-        answers.plane(designs[0], 0, 1, answers.outcomes[-1])  # loads what a first drawing needs
+        one.plane(designs[0])  # loads what a first drawing needs
         times = {
-            "prediction": waited(answers.predict, designs),
-            "prediction while planes are drawn": waited_among_planes(answers, designs),
-            "plane": waited(lambda design: answers.plane(design, last - 1, last, answers.outcomes[-1]), few),
-            "fragility curve": waited(lambda design: answers.fragility(design, last), few),
-            "simulation": waited(answers.simulate, designs),
-            "its histories as a figure": waited(lambda design: answers.histories(design, False), few),
+            "prediction": waited(one.predict, designs),
+            "prediction while planes are drawn": waited_among_planes(one, designs),
+            "plane": waited(one.plane, few),
+            "fragility curve": waited(one.fragility, few),
+            "simulation, with its histories as a figure": waited(one.simulate, few),
         }
     head("answer [ms]", "median", "worst", "goal")
     for name, taken in times.items():

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from commandline import activefail, refused
+from explorer.conftest import site_of
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from ran import ran_in
@@ -22,7 +23,6 @@ from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.csv_table import Table
 from activefail.errors import InputError
-from activefail.explorer.answers import Answers
 from activefail.features import feature_map
 from activefail.figures.outcome_planes import coordinates, marks_in, plot_outcome_planes
 from activefail.parameter import Parameter
@@ -188,13 +188,14 @@ def test_more_simulations_are_not_advised_where_the_next_choice_may_miss_the_tar
 
 def test_pages_list_choices_and_have_no_axis_of_them(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
-        answers, planes = Answers(run.findings), coordinates(run.findings).planes
+        site, planes = site_of(run.findings), coordinates(run.findings).planes
         assert run.findings.influence[0] == max(run.findings.influence)
-        about, point = answers.about(), answers.about()["presets"][0]["point"]
-        assert [one["choices"] for one in about["variables"]][2:] == [("A", "B", "soft clay"), ("frame", "wall")]
-        assert {*about["plane"]} == {"load", "storeys"}
+        point = dict(zip(site.one.space.names, site.one.presets[0][1], strict=True))
+        assert [field.choices for field in site.one.fields][2:] == [("A", "B", "soft clay"), ("frame", "wall")]
+        axes = site.page("/").partition('id="across"')[2].partition("</select>")[0]
+        assert all((f'value="{name}"' in axes) == (name in ("load", "storeys")) for name in site.one.space.names)
         assert {(plane.x, plane.y) for plane in planes} <= {(0, 1), (1, 0)}
-        assert "svg" in answers.plane(point, 0, 1, "failure")
+        assert "<svg" in site.one.plane(point | {"across": "load", "up": "storeys", "shown": "failure"})
 
 
 def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.conftest import site_of
 from matplotlib.figure import Figure
 from ran import ran_in
 
@@ -12,7 +13,6 @@ from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.explorer.answers import Answers
 from activefail.figures.outcome_planes import coordinates
 from activefail.findings.results import predict
 
@@ -151,11 +151,12 @@ def test_designs_that_break_a_constraint_are_not_drawn(folder: Path) -> None:
         assert np.isnan(predict(run.campaign, run.findings.classifier, np.array([outside, outside])).mean).all()
         axes = run.plot_boundary("depth", "gap", axes=Figure().subplots())
         assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "no design in the space"
-        answers = Answers(run.findings)
-        assert answers.predict(inside)["absent"] == ""
-        assert answers.predict(outside) == {
-            "probabilities": [],
-            "boundaries": [],
-            "absent": "No such design exists: it breaks depth + gap <= 1.",
-        }
-        assert "<pattern" in answers.plane(inside, 0, 1, "failure")["svg"]  # the hatching
+        one = site_of(run.findings).one
+        here, nowhere = ({"depth": X[0], "gap": X[1]} for X in (inside, outside))
+        assert "No such design" not in one.predict(here)
+        assert (
+            one.predict(nowhere)
+            .strip()
+            .endswith('<p class="fault">No such design exists: it breaks depth + gap &lt;= 1.</p>')
+        )
+        assert "<pattern" in one.plane(here | {"across": "depth", "up": "gap", "shown": "failure"})  # the hatching

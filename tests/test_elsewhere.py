@@ -24,7 +24,6 @@ from explorer.conftest import site_of
 
 import activefail as af
 from activefail.errors import InputError, StoreError
-from activefail.explorer.answers import Answers
 
 LAB = """
 seed = 3
@@ -842,7 +841,7 @@ def test_pages_advise_no_command_that_the_campaign_refuses(folder: Path) -> None
     page = (folder / "report.html").read_text()
     with af.open_run(folder) as run:
         refused = {*run.campaign.settings.refused}
-        page += str(site_of(Answers(run.findings))._failure()["html"])
+        page += site_of(run.findings).one.failure({})
     assert refused == {"verify", "probability", "design", "compare"}
     assert [command for command in refused if f"activefail {command}" in page] == []
 

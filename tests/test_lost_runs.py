@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commandline import activefail
+from explorer.conftest import site_of
 from scipy.special import ndtr
 
 from activefail.campaign.assembly import Campaign
@@ -244,6 +245,10 @@ def test_a_design_that_does_not_exist_is_predicted_to_be_so(tmp_path: Path) -> N
         rows = (tmp_path / "predicted.csv").read_text().splitlines()[1:]
         assert rows[0] == "0.0,-2.5,does not exist,,,,"
         assert [row.split(",")[2] for row in rows[1:]] == ["safe", "failure"]
+    with open_run(tmp_path / "run", code=tmp_path) as opened:
+        one = site_of(opened.findings).one
+        assert "This design does not exist with a probability of " in one.predict({"x": "0", "y": "-2.5"})
+        assert "does not exist" not in one.predict({"x": "0", "y": "1"})
 
 
 def test_hidden_failure_is_looked_for_where_designs_exist() -> None:

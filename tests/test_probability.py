@@ -1,5 +1,6 @@
 """Failure probabilities as a user asks for them: a limit state, a campaign, a number with its interval."""
 
+import html
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from scipy.stats import beta
 
 from activefail.cli.analyses import site_of
 from activefail.errors import InputError
+from activefail.explorer.jobs import Jobs
 from activefail.findings.estimates import rounded_up, upper_bound
 from activefail.findings.status import estimate_of, read_status
 from activefail.opening import open_run
@@ -327,13 +329,11 @@ def test_the_explorer_shows_the_probability_and_offers_the_design_point(ended: P
         assert failure.simulations[-1] == len(opened.history)
         assert failure.low[-1] < TRUE < failure.high[-1]
     # By the command's way: it predicts by the saved state until this is asked.
-    question = site_of(ended / "run").question("/api/failure")
-    assert question is not None
-    shown = question.answer()
-    assert "Probability of failure</h2>" in shown["html"]
-    assert shown["html"].count("<svg") == 2
-    assert shown["preset"]["text"] == "the design point of failure"
-    assert shown["preset"]["point"] == pytest.approx(failure.point.X)
+    with Jobs() as jobs:
+        shown = site_of(ended / "run", jobs).one.failure({})
+    assert shown.count("<svg") == 2
+    start = json.loads(html.unescape(re.findall(r'data-fills value="(.*?)"', shown)[0]))
+    assert [*start.values()] == pytest.approx(failure.point.X)
 
 
 def test_a_campaign_that_asks_for_no_probability_has_no_such_section(tmp_path: Path) -> None:

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from commandline import activefail, refused, sets
+from explorer.conftest import site_of
 from scipy.special import ndtr
 
 from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
-from activefail.explorer.answers import Answers
-from activefail.explorer.site import CampaignSite, Slow
 from activefail.findings.estimates import bound_of_fresh
 from activefail.opening import open_run
 from activefail.reliability.estimate import plan_estimate
@@ -150,10 +149,7 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     assert "an estimate of the probability" not in page
     with open_run(run, code=tmp_path) as opened:
         failure = opened.failure()
-        site = CampaignSite(Answers(opened.findings), Slow(lambda: opened.classifier, lambda: failure, lambda: None))
-        question = site.question("/api/failure")
-        assert question is not None
-        shown = question.answer()["html"]
+        shown = site_of(opened.findings, failure=lambda: failure).one.failure({})
     assert "Under a &lt;worse&gt; site: 0." in shown
     assert "Under the design measure, as are the pictures: reliability index" in shown
 

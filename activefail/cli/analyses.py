@@ -32,6 +32,7 @@ from activefail.request import Option, Request, options
 from activefail.visible import visible
 
 if TYPE_CHECKING:
+    from activefail.explorer.jobs import Jobs
     from activefail.explorer.pages import Site
     from activefail.report.evidence import Curve
     from activefail.run import Run
@@ -117,10 +118,10 @@ def _parameters(request: type[Request[Any]]) -> Parameters:
     return parameters | {"code": (Code, None)}
 
 
-def site_of(folder: Path, code: Path | None = None, home: str = "") -> "Site":
+def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = "") -> "Site":
     """The explorer's site of a run folder."""
-    from activefail.explorer.answers import Answers
-    from activefail.explorer.site import CampaignSite, Slow
+    from activefail.explorer.campaign import Slow
+    from activefail.explorer.site import CampaignSite
     from activefail.findings.results import findings_of
     from activefail.surrogate.threads import one_thread_from_now_on
 
@@ -140,7 +141,7 @@ def site_of(folder: Path, code: Path | None = None, home: str = "") -> "Site":
         return curve_of(learning().campaign, opened.store)[0]
 
     slow = Slow(lambda: learning().classifier, lambda: learning().failure(), curve)
-    return CampaignSite(Answers(findings), slow, home)
+    return CampaignSite(findings, slow, jobs, home)
 
 
 def explore(
@@ -161,22 +162,21 @@ def explore(
 
     By default only this machine can connect, and only with the token in the printed address.
     """
+    from activefail.explorer.jobs import Jobs
     from activefail.explorer.runs import Runs, run_folders
     from activefail.explorer.server import ExplorerServer
     from activefail.surrogate.threads import one_thread_of_blas
 
-    with one_thread_of_blas():
+    with one_thread_of_blas(), Jobs() as jobs:
         if run_folders(folder):
             if code is not None:
                 raise InputError(f"--code: requires one run folder, but {folder} holds several.")
-            site: Site = Runs(folder, lambda one: site_of(one, home="../../"))
+            site: Site = Runs(folder, lambda one: site_of(one, jobs, home="../../"))
         else:
-            site = site_of(folder, code)
-        server = ExplorerServer(host, port, site, not no_token)
-        print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print("stopped", file=sys.stderr)
-        finally:
-            server.server_close()
+            site = site_of(folder, jobs, code)
+        with ExplorerServer(host, port, site, not no_token) as server:
+            print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
+            try:
+                server.serve_forever()
+            except KeyboardInterrupt:
+                print("stopped", file=sys.stderr)

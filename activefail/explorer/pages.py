@@ -1,52 +1,39 @@
-"""What a site of the explorer is: pages, and the questions that they ask."""
+"""What a site of the explorer is: pages, and the panels on them.
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+A page is a form. A panel is a part of it that the server makes from the form's values: `page.js` sends the form and
+shows the HTML that comes back, whenever a field changes, when a button is pressed, or after a while.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from markupsafe import Markup
 
 from activefail import __version__
-from activefail.explorer.questions import Reader
+from activefail.explorer.fields import Values
 from activefail.report.environment import page_environment
 
-Answer = dict[str, Any]
-"""JSON values."""
+Panel = Callable[[Values], str]
+"""Makes HTML from a form; raises InputError if a value is invalid."""
 
 
-def page(name: str, **values: Any) -> str:
-    """Render the template of a page or of a part of one."""
+def page(name: str, **values: Any) -> Markup:
+    """Render the template of a page or of a panel."""
     template = page_environment("activefail.explorer").get_template(f"{name}.html.j2")
-    return template.render(version=__version__, **values)
-
-
-class Question(NamedTuple):
-    """A question that the pages ask.
-
-    Attributes:
-        answer: gives the answer; its arguments are the question's values.
-        readers: of the values, by key.
-    """
-
-    answer: Callable[..., Answer]
-    readers: Mapping[str, Reader] = {}
+    return Markup(template.render({"version": __version__, "home": "", "has_design": False} | values))
 
 
 class Site(Protocol):
-    """Pages and the questions that they ask; thread-safe."""
+    """Pages and panels; thread-safe."""
 
     def page(self, path: str) -> str | None:
         """The page at a path such as "/"; None if there is none. Raises InputError, StoreError."""
 
-    def question(self, path: str) -> Question | None:
-        """The question at a path such as "/api/predict"; None if there is none. Raises InputError, StoreError."""
+    def panel(self, name: str) -> Panel | None:
+        """The panel with this name; None if there is none. Raises InputError, StoreError."""
 
     def below(self, name: str, anew: bool) -> "Site | None":
         """The site of a campaign in the folder of this one, None if there is none; `anew`, if its record has changed.
 
         Raises InputError, StoreError.
         """
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether something runs in the background."""
-
-    def close(self) -> None:
-        """Stop what runs in the background."""

@@ -9,15 +9,16 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from activefail.errors import ActivefailError, description_of
-from activefail.explorer.pages import Answer, Question, Site, page
+from activefail.explorer.fields import Values
+from activefail.explorer.pages import Panel, Site, page
 from activefail.findings.status import Status, read_status
 from activefail.numerals import outcomes_in_words
 from activefail.record.journal import is_being_written
@@ -35,11 +36,10 @@ _SHARE = 0.1
 _PATIENCE = 5.0
 """Longest wait for a run folder to be read [s]; the page shows it once it has been read."""
 
-_SIZE = 220.0, 56.0
-"""Width and height of a learning curve."""
-
 _ERRORS = 1e-3, 0.5
 """Range of the errors in a learning curve."""
+
+Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 def run_folders(folder: Path) -> list[Path]:
@@ -48,9 +48,6 @@ def run_folders(folder: Path) -> list[Path]:
         return []
     with os.scandir(folder) as entries:
         return sorted(Path(entry) for entry in entries if entry.is_dir() and _stamp(Path(entry)) is not None)
-
-
-Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 def _stamp(folder: Path) -> Stamp | None:
@@ -63,21 +60,6 @@ def _stamp(folder: Path) -> Stamp | None:
         except OSError:
             found.append(None)
     return tuple(found) if len(found) - found.count(None) > 1 else None
-
-
-class Curve(NamedTuple):
-    """A learning curve as a drawing.
-
-    Attributes:
-        text: what it shows, for screen readers.
-        line, band: points of the values and of their 95 % intervals.
-        grid: heights and texts of the lines across.
-    """
-
-    text: str
-    line: str
-    band: str
-    grid: Sequence[tuple[float, str]]
 
 
 class _Read(NamedTuple):
@@ -127,73 +109,48 @@ class Runs:
         self.folder, self.open_site = folder, open_site
         self._reads: dict[Path, _Read] = {}
         self._readings: dict[Path, _Reading] = {}
-        self._sites: dict[Path, tuple[Stamp | None, Site]] = {}  # the one asked last is the last
+        self._sites: dict[Path, tuple[Stamp | None, Future[Site]]] = {}  # the one asked last is the last
         self._reading, self._looking = threading.Lock(), threading.Lock()
-        self._opening: dict[Path, threading.Lock] = {}
 
     def page(self, path: str) -> str | None:
         """As `Site.page`."""
-        return page("runs", title=visible(self.folder.resolve().name), **self._shown()) if path == "/" else None
+        title = visible(self.folder.resolve().name)
+        return page("runs", title=title, table=self._table({})) if path == "/" else None
 
-    def question(self, path: str) -> Question | None:
-        """As `Site.question`: what the page shows, unless it shows that already."""
-        return Question(self._news, {"known": lambda _, value: value}) if path == "/api/runs" else None
+    def panel(self, name: str) -> Panel | None:
+        """As `Site.panel`."""
+        return self._table if name == "runs" else None
 
     def below(self, name: str, anew: bool) -> Site | None:
-        """As `Site.below`."""
+        """As `Site.below`; those who ask the same campaign wait while it is opened once."""
         folder = self.folder / name
         if folder not in self._reads and folder not in run_folders(self.folder):
             return None
-        if (site := self._opened(folder, anew)) is not None:
-            return site
-        # Those who ask the same campaign wait, so that it is opened once.
-        with self._opening.setdefault(folder, threading.Lock()):
-            if (site := self._opened(folder, anew)) is None:
-                stamp, site = _stamp(folder), self.open_site(folder)
-                with self._looking:
-                    self._sites[folder] = stamp, site
-                    idle = [one for one, (_, of) in self._sites.items() if one != folder and not of.is_busy]
-                    for one in idle[: max(0, len(self._sites) - _MOST_OPEN)]:
-                        self._sites.pop(one)[1].close()
-            return site
-
-    def _opened(self, folder: Path, anew: bool) -> Site | None:
-        """The open site of a run folder; None if there is none, or if it is idle, asked anew and its record changed."""
         with self._looking:
             stamp, site = self._sites.pop(folder, (None, None))
-            if site is None:
-                return None
-            if anew and stamp != _stamp(folder) and not site.is_busy:
-                site.close()
-                return None
+            opens = site is None or (anew and stamp != _stamp(folder))
+            if site is None or opens:
+                stamp, site = _stamp(folder), Future()
             self._sites[folder] = stamp, site
-            return site
+            for longest_ago in [*self._sites][:-_MOST_OPEN]:
+                del self._sites[longest_ago]
+        if opens:
+            try:
+                site.set_result(self.open_site(folder))
+            except BaseException as error:
+                with self._looking:
+                    self._sites.pop(folder, None)
+                site.set_exception(error)
+        return site.result()
 
-    @property
-    def is_busy(self) -> bool:
-        """As `Site.is_busy`."""
-        return any(site.is_busy for _, site in self._sites.values())
-
-    def close(self) -> None:
-        """Stop what runs in the background."""
-        for _, site in self._sites.values():
-            site.close()
-
-    def _news(self, known: Any) -> Answer:
-        shown = self._shown()
-        return {"digest": shown["digest"], "html": None if known == shown["digest"] else shown["table"]}
-
-    def _shown(self) -> dict[str, str]:
-        """The table as HTML, and its digest."""
+    def _table(self, _: Values) -> str:
+        """The table as HTML."""
         with self._reading:
             self._reads = {folder: self._read(folder) for folder in run_folders(self.folder)}
             reads = dict(self._reads)
         sizes = [read.status.curve[-1].simulations for read in reads.values() if read.status and read.status.curve]
-        most = max(sizes, default=0)
-        rows = [_row(folder, read, most) for folder, read in reads.items()]
-        counts = Counter(row["state"] for row in rows)
-        table = page("runs_table", rows=rows, counts=counts, most=most, width=_SIZE[0], height=_SIZE[1])
-        return {"table": table, "digest": sha256(table.encode()).hexdigest()[:16]}
+        rows = [_row(folder, read, max(sizes, default=0)) for folder, read in reads.items()]
+        return page("runs_table", rows=rows, counts=Counter(row["state"] for row in rows), most=max(sizes, default=0))
 
     def _read(self, folder: Path) -> _Read:
         """The run folder as it is; as it was if it has not changed, was read a moment ago or takes long to read."""
@@ -226,7 +183,6 @@ def _row(folder: Path, read: _Read, most: int) -> dict[str, Any]:
 def _cells(status: Status, most: int) -> dict[str, Any]:
     """The cells of the row of a run folder."""
     summary, settings = status.summary, status.summary.settings
-    has_curve = settings.validation.size or settings.probability_rule is not None
     counts = summary.counts.tolist()
     return {
         "state": status.state,
@@ -238,7 +194,7 @@ def _cells(status: Status, most: int) -> dict[str, Any]:
         "answer": _answer(status),
         "refused": settings.refused.get("verify", ""),
         "curve": _curve(status, most),
-        "no_curve": "none yet" if has_curve else "none: needs validation.size or stop.probability",
+        "has_curve": settings.validation.size or settings.probability_rule is not None,
     }
 
 
@@ -248,17 +204,15 @@ def _answer(status: Status) -> tuple[str, str]:
         of = f"P({or_worse(outcome, status.summary.outcomes)}), {100.0 * numbers['confidence']:g} % interval"
         if numbers["extrapolated"]:
             return of, f"at most {alike(numbers['high'])[0]}"
-        probability, low, high = alike(numbers["probability"], numbers["low"], numbers["high"])
-        return of, f"{probability} ({low} to {high})"
+        return of, _between(numbers["probability"], numbers["low"], numbers["high"])
     if (error := status.error) is not None:
         of = f"verified error, {100.0 * error['confidence']:g} % interval"
         return of, error_in_words(error)[0]
     last = status.curve[-1] if status.curve else None
     if last is not None and last.probability is not None:
-        probability, low, high = alike(*last.probability)
         if not all(status.summary.counts[:-1]):
-            return "probability under the classifier, without an interval", probability
-        return "probability under the classifier, 95 % interval", f"{probability} ({low} to {high})"
+            return "probability under the classifier, without an interval", alike(last.probability[0])[0]
+        return "probability under the classifier, 95 % interval", _between(*last.probability)
     if last is not None and last.score is not None:
         interval = interval_percent(1.0 - last.score.high, 1.0 - last.score.low, 1)
         of = f"error on {last.score.test_designs} validation designs, 95 % interval"
@@ -266,30 +220,42 @@ def _answer(status: Status) -> tuple[str, str]:
     return "", ""
 
 
-def _curve(status: Status, most: int) -> Curve | None:
-    """The probability if the campaign seeks one, else the error on the validation set; None without either."""
-    if sought := [(one.simulations, *one.probability) for one in status.curve if one.probability]:
-        values, text = sought, "Probability under the classifier"
-        ends = [end for _, *row in sought for end in row if end > 0.0]
-        last = sought[-1][1] or 1e-9
-        low, high = max(min(ends, default=last), last / 1e3), min(max(ends, default=1.0), 1e3 * last)
-        grid = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
-    else:
-        scores = [(one.simulations, one.score) for one in status.curve if one.score is not None]
-        values = [(n, 1.0 - one.accuracy, 1.0 - one.high, 1.0 - one.low) for n, one in scores]
-        text, (low, high), grid = "Error on the validation set", _ERRORS, [0.01, 0.1]
-    if not values:
+def _between(value: float, low: float, high: float) -> str:
+    value_text, *ends = alike(value, low, high)
+    return f"{value_text} ({' to '.join(ends)})"
+
+
+Point = tuple[int, float, float, float]
+"""Simulations, and a value with its interval."""
+
+
+def _curve(status: Status, most: int) -> dict[str, Any] | None:
+    """The probability if the campaign seeks one, else the error on the validation set; None without either.
+
+    As shares of the simulations and of the powers of ten of a drawing.
+    """
+    sought: list[Point] = [(one.simulations, *one.probability) for one in status.curve if one.probability]
+    scores = [(one.simulations, one.score) for one in status.curve if one.score is not None]
+    points = sought or [(n, 1.0 - one.accuracy, 1.0 - one.high, 1.0 - one.low) for n, one in scores]
+    if not points:
         return None
-    width, height = _SIZE
+    text, (low, high) = "Error on the validation set", _ERRORS
+    if sought:
+        last = sought[-1][1] or 1e-9
+        ends = [end for _, *row in sought for end in row if end > 0.0] or [last, 1.0]
+        text, (low, high) = "Probability under the classifier", (max(min(ends), last / 1e3), min(max(ends), 1e3 * last))
     span = math.log(high / low) or 1.0
 
-    def place(n: int, value: float) -> str:
-        return f"{width * n / most:.1f},{up(value):.1f}"
-
     def up(value: float) -> float:
-        return height * (1.0 - math.log(min(max(value, low), high) / low) / span)
+        return 1.0 - math.log(min(max(value, low), high) / low) / span
 
-    band = [place(n, high) for n, _, _, high in values] + [place(n, low) for n, _, low, _ in reversed(values)]
-    labels = [f"{100.0 * value:g} %" if value >= 1e-3 else alike(value)[0].partition("·")[2] for value in grid]
-    line = " ".join(place(n, value) for n, value, _, _ in values)
-    return Curve(text, line, " ".join(band), list(zip(map(up, grid), labels, strict=True)))
+    decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
+    return {
+        "text": text,
+        "line": [(n / most, up(value)) for n, value, _, _ in points],
+        "band": [(n / most, up(end)) for n, _, _, end in points]
+        + [(n / most, up(end)) for n, _, end, _ in points[::-1]],
+        "grid": [
+            (up(10.0**k), f"{100.0 * 10.0**k:g} %" if k > -4 else alike(10.0**k)[0].partition("·")[2]) for k in decades
+        ],
+    }

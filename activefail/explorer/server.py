@@ -1,8 +1,8 @@
-"""The explorer's server: pages and the questions that they ask, on the standard library's HTTP server.
+"""The explorer's server: the pages of a site and their panels, on the standard library's HTTP server.
 
 It changes nothing and reads only its own files. It answers only requests whose Host header names this machine and whose
 Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. A request also needs
-the token, unless the user does without it on the loopback interface. At most one verification runs in the background.
+the token, unless the user does without it on the loopback interface.
 
 Each connection has a thread, and their number is bounded.
 """
@@ -23,14 +23,14 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from activefail.errors import InputError, StoreError
+from activefail.explorer.fields import Values
 from activefail.explorer.pages import page
-from activefail.explorer.questions import read
 
 if TYPE_CHECKING:
     from activefail.explorer.pages import Site
 
 LONGEST_BODY = 4096
-"""Longest question [bytes]; a design has about a hundred."""
+"""Longest form [bytes]; one has a few hundred."""
 
 MOST_CONNECTIONS = 512
 """Most open connections; each has a thread, and is closed when nothing comes for `_Handler.timeout`."""
@@ -46,13 +46,11 @@ _HEADERS = {
 """Of every response."""
 
 _FILES = {
-    "/common.js": "text/javascript; charset=utf-8",
-    "/explorer.js": "text/javascript; charset=utf-8",
-    "/runs.js": "text/javascript; charset=utf-8",
-    "/design.js": "text/javascript; charset=utf-8",
-    "/explorer.css": "text/css; charset=utf-8",
+    "/page.js": ("activefail.explorer", "text/javascript; charset=utf-8"),
+    "/explorer.css": ("activefail.explorer", "text/css; charset=utf-8"),
+    "/page.css": ("activefail.report", "text/css; charset=utf-8"),
 }
-"""The pages' files, with their types."""
+"""The pages' files, with their packages and types."""
 
 
 def is_loopback(host: str) -> bool:
@@ -69,11 +67,11 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 class ExplorerServer(ThreadingHTTPServer):
-    """Serves the pages of a site and answers their questions.
+    """Serves the pages of a site and their panels.
 
     Attributes:
         token: required of visitors; empty if none is needed.
-        site: pages and questions.
+        site: pages and panels.
 
     Raises:
         InputError: if the address cannot be served.
@@ -95,11 +93,6 @@ class ExplorerServer(ThreadingHTTPServer):
             super().__init__((bound, port), _Handler)
         except (OSError, TypeError) as error:  # TypeError: a name that cannot be encoded
             raise InputError(f"Cannot listen on {host}:{port}: {getattr(error, 'strerror', error)}.") from None
-
-    def server_close(self) -> None:
-        """Stop listening, and what the site does in the background."""
-        super().server_close()
-        self.site.close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Whether there is room for a connection; it is closed if not."""
@@ -167,7 +160,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.do_GET()
 
     def do_POST(self) -> None:
-        """Answer a question of the page, as JSON."""
+        """Make a panel of a page."""
         self._respond(self._answer)
 
     def _respond(self, respond: Callable[[], None]) -> None:
@@ -195,7 +188,7 @@ class _Handler(BaseHTTPRequestHandler):
         is_read = len(lengths) < 2 if self.command == "POST" else lengths in ([], ["0"])
         if "Transfer-Encoding" in self.headers or not is_read:
             # What is not read of a body would be the next request.
-            raise _RefusedError(HTTPStatus.BAD_REQUEST, "Only a question has a body, whose length it states once.")
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "Only a form has a body, whose length it states once.")
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
         if not self.server.knows(host):
             raise _RefusedError(HTTPStatus.MISDIRECTED_REQUEST, "The Host header does not name this server.")
@@ -226,7 +219,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._serve_page()
         except (InputError, StoreError) as error:
             home = "../../" if self.url.path.startswith("/run/") else ""
-            text = page("refused", reason=str(error), home=home)
+            text = page("refused", title="activefail", reason=str(error), home=home)
             self._send(HTTPStatus.CONFLICT, "text/html; charset=utf-8", text.encode())
 
     def _place(self, path: str) -> "tuple[Site | None, str]":
@@ -240,7 +233,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _serve_page(self) -> None:
         site, path = self._place(self.url.path)
         if path in _FILES:
-            self._send(HTTPStatus.OK, _FILES[path], files("activefail.explorer").joinpath(path[1:]).read_bytes())
+            package, kind = _FILES[path]
+            self._send(HTTPStatus.OK, kind, files(package).joinpath(path[1:]).read_bytes())
         elif site is None or (text := site.page(path)) is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Page not found.")
         elif self.server.token and "token" in parse_qs(self.url.query):
@@ -254,13 +248,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self) -> None:
         site, path = self._place(self.path)
-        if site is None or (asked := site.question(path)) is None:
+        panel = site.panel(path.removeprefix("/api/")) if site and path.startswith("/api/") else None
+        if panel is None:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "Unknown request.")
-        answer = asked.answer(**read(self._question(), asked.readers))
-        self._send(HTTPStatus.OK, "application/json", json.dumps(answer, allow_nan=False).encode())
+        self._send(HTTPStatus.OK, "text/html; charset=utf-8", panel(self._form()).encode())
 
-    def _question(self) -> Any:
-        """The JSON value that a visitor sent.
+    def _form(self) -> Values:
+        """The form that a page sent, as JSON.
 
         Raises:
             _RefusedError: if there is none, or it is too long.
@@ -273,9 +267,12 @@ class _Handler(BaseHTTPRequestHandler):
             text = f"A request must be at most {LONGEST_BODY} bytes."
             raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, text)
         try:
-            return json.loads(self.rfile.read(int(length)))
+            values = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
-            raise _RefusedError(HTTPStatus.BAD_REQUEST, "A request must be JSON.") from None
+            values = None
+        if not isinstance(values, dict):
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "A request must be a JSON object.")
+        return values
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Send the base class's own errors, such as an unknown method, as JSON."""

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable
 
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.figures.style import lay_out, styled
@@ -97,6 +98,12 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
         "http://www.w3.org/2000/svg",
     )
     return opening + Markup(text[text.index(">") + 1 :])
+
+
+def place_of(upper: Axes, lower: Axes | None = None) -> dict[str, float]:
+    """Where axes are in their figure: shares of its width from the left, and of its height from the top."""
+    top, bottom = upper.get_position(), (lower or upper).get_position()
+    return {"left": top.x0, "right": top.x1, "top": 1.0 - top.y1, "bottom": 1.0 - bottom.y0}
 
 
 def inlined(figures: Iterable[Figure], name: str, alternative: str) -> Markup:

@@ -12,11 +12,14 @@ import pytest
 from report.browser import browser
 from report.test_report import ran, settings
 
+from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
-from activefail.explorer.answers import Answers
+from activefail.explorer.campaign import OneDesign, Slow
+from activefail.explorer.jobs import Jobs
+from activefail.explorer.pages import Site
 from activefail.explorer.server import ExplorerServer
-from activefail.explorer.site import CampaignSite, Slow
+from activefail.explorer.site import CampaignSite
 from activefail.findings.results import Findings, findings_of
 from activefail.loop.learning import current
 from activefail.record.run_folder import FolderStore
@@ -32,20 +35,20 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
 
 
 @pytest.fixture(scope="session")
-def answers(findings: Findings) -> Answers:
-    return Answers(findings)
+def one(findings: Findings) -> OneDesign:
+    return site_of(findings).one
 
 
-def answers_of(campaign: Campaign, folder: Path) -> Answers:
-    """The answers about a campaign that is taken to its budget in a folder."""
+def findings_in(campaign: Campaign, folder: Path) -> Findings:
+    """The findings of a campaign that is taken to its budget in a folder."""
     ran(folder, campaign)
     with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
-        return Answers(findings_of(folder, campaign, store, current(campaign, store, write=False).classifier))
+        return findings_of(folder, campaign, store, current(campaign, store, write=False).classifier)
 
 
 @pytest.fixture(scope="module")
-def server(answers: Answers) -> Iterator[ExplorerServer]:
-    with served(answers) as running:
+def server(findings: Findings) -> Iterator[ExplorerServer]:
+    with served(site_of(findings)) as running:
         yield running
 
 
@@ -70,21 +73,27 @@ class Visitor:
         return self.driver.find_element("css selector", css)
 
 
-def site_of(answers: Answers, home: str = "") -> CampaignSite:
+def site_of(findings: Findings, home: str = "", jobs: Jobs | None = None, failure: Any = None) -> CampaignSite:
     """The site of a campaign that says nothing of a probability and has no learning curve."""
-    return CampaignSite(answers, Slow(lambda: answers.findings.classifier, lambda: None, lambda: None), home)
+    slow = Slow(lambda: findings.classifier, failure or (lambda: None), lambda: None)
+    return CampaignSite(findings, slow, jobs or Jobs(), home)
+
+
+def form(X: list[float], **values: object) -> dict[str, object]:
+    """The form of the page of one design of a bearing, as a browser sends it."""
+    return dict(zip(TABLE_1.names, map(str, X), strict=True)) | values
 
 
 def there(visitor: Visitor, css: str, text: str = "") -> bool:
     """Whether a page has such an element, with this text."""
-    script = "return [...document.querySelectorAll(arguments[0])].map((it) => it.innerText)"
+    script = "return [...document.querySelectorAll(arguments[0])].map((it) => it.innerText ?? it.textContent)"
     return any(text in one for one in visitor.driver.execute_script(script, css))
 
 
 @contextmanager
-def served(answers: Answers, host: str = "127.0.0.1", needs_token: bool = False) -> Iterator[ExplorerServer]:
-    """A server of these answers on a free port, in a thread of its own."""
-    with ExplorerServer(host, 0, site_of(answers), needs_token) as server:
+def served(site: Site, host: str = "127.0.0.1", needs_token: bool = False) -> Iterator[ExplorerServer]:
+    """A server of this site on a free port, in a thread of its own."""
+    with ExplorerServer(host, 0, site, needs_token) as server:
         # Who is still being answered would compete for the classifier with the next test.
         server.daemon_threads = False
         thread = threading.Thread(target=server.serve_forever, daemon=True)

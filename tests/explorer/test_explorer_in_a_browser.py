@@ -3,30 +3,36 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
-from explorer.conftest import Visitor, served, there, tunnel
+from explorer.conftest import Visitor, form, served, site_of, there, tunnel
+from explorer.test_answers import place_in
 from patience import until
 from report.browser import console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.errors import InputError
-from activefail.explorer.site import CampaignSite, Slow
 
 pytestmark = pytest.mark.needs("browser")
 
 
 class Explorer(Visitor):
     def probabilities(self) -> dict[str, float]:
-        bars = "[...document.querySelectorAll('#probabilities .bar')]"
+        bars = "[...document.querySelectorAll('#predict [data-outcome]')]"
         script = f"return {bars}.map(b => [b.dataset.outcome, +b.dataset.probability])"
         return dict(self.driver.execute_script(script))
 
     def marker(self) -> tuple[float, float]:
-        return tuple(
-            self.driver.execute_script(
-                "const m = document.getElementById('marker').style; return [parseFloat(m.left), parseFloat(m.top)]"
-            )
-        )
+        """Where the design is on the plane's axes [%]: from the left, and from the top."""
+        script = """
+            const { style } = document.querySelector("#plane .drawing");
+            return ["--x", "--y"].map((name) => Number(style.getPropertyValue(name)));
+        """
+        x, y = self.driver.execute_script(script)
+        return 100.0 * x, 100.0 * (1.0 - y)
+
+    def slider(self, name: str) -> Any:
+        return self.one(f"#s-{name} [type=range]")
 
     def settled(self) -> None:
         """Wait until prediction, plane and curve are there."""
@@ -47,46 +53,49 @@ def visitor(address: str, driver: Any) -> Iterator[Explorer]:
     assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
 
 
+def expected(one, **changes: float) -> dict[str, float]:
+    """The prediction for the design at which the page starts, with these changes."""
+    X = [dict(zip(one.space.names, one.presets[0][1], strict=True)) | changes]
+    shares = one.findings.classifier.predicted(np.array([[*X[0].values()]])).probabilities[0]
+    return dict(zip(one.outcomes, shares.tolist(), strict=True))
+
+
+def shows(visitor: Explorer, prediction: dict[str, float]) -> None:
+    """Wait until the page shows a prediction."""
+    until(lambda: visitor.probabilities() == pytest.approx(prediction, abs=1e-9), "a prediction")
+
+
 def test_the_name_of_the_campaign_is_text_and_no_program(visitor):
     assert visitor.one("h1").text == SCRIPT
-    assert visitor.driver.execute_script("return document.scripts.length") == 2
+    assert visitor.driver.execute_script("return document.scripts.length") == 1
 
 
-def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_shown(visitor, answers):
+def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_shown(visitor, one):
     from selenium.webdriver.common.keys import Keys
 
-    slider = visitor.one("#v8")
-    slider.send_keys(Keys.HOME)
-    weakest = until(
-        lambda: visitor.one("#t8").get_attribute("value") == "0.1" and visitor.probabilities(), "A_p at its least"
-    )
-    point = answers.about()["presets"][0]["point"]
-    expected = answers.predict([*point[:8], 0.1])["probabilities"]
-    until(lambda: abs(visitor.probabilities()["no_impact"] - expected[0]) < 1e-9, "its prediction")
-    slider.send_keys(Keys.END)
-    strongest = answers.predict([*point[:8], 0.8])["probabilities"]
-    until(lambda: abs(visitor.probabilities()["failure"] - strongest[2]) < 1e-9, "A_p at its largest")
-    assert visitor.one("#t8").get_attribute("value") == "0.8"
-    assert visitor.one("#v8").get_attribute("aria-valuetext") == "0.8 g"
-    assert strongest[2] > expected[2]
+    assert visitor.slider("A_p").accessible_name == "A_p in g"
+    visitor.slider("A_p").send_keys(Keys.HOME)
+    shows(visitor, expected(one, A_p=0.1))
+    assert visitor.one("#A_p").get_attribute("value") == "0.1"
+    visitor.slider("A_p").send_keys(Keys.END)
+    shows(visitor, expected(one, A_p=0.8))
+    assert visitor.one("#A_p").get_attribute("value") == "0.8"
+    assert expected(one, A_p=0.8)["failure"] > expected(one, A_p=0.1)["failure"]
     assert visitor.one("#preset").get_attribute("value") == ""
-    assert set(weakest) == {"no_impact", "impact", "failure"}
 
 
 @pytest.mark.parametrize("prefix", ["", "/user/ann/proxy/8050"])
-def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_works(driver, answers, prefix):
+def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_works(driver, findings, one, prefix):
     from selenium.webdriver.common.keys import Keys
 
     fresh(driver, 1400, 1000)
-    with served(answers, needs_token=True) as running, tunnel(running.server_address[1], prefix) as port:
+    with served(site_of(findings), needs_token=True) as running, tunnel(running.server_address[1], prefix) as port:
         address = f"http://localhost:{port}{prefix}/"
         driver.get(f"{address}?token={running.token}")
         visitor = Explorer(driver)
         visitor.settled()
-        point = answers.about()["presets"][0]["point"]
-        visitor.one("#v8").send_keys(Keys.HOME)
-        expected = answers.predict([*point[:8], 0.1])["probabilities"]
-        until(lambda: abs(visitor.probabilities()["no_impact"] - expected[0]) < 1e-9, "its prediction")
+        visitor.slider("A_p").send_keys(Keys.HOME)
+        shows(visitor, expected(one, A_p=0.1))
         assert driver.current_url == address
         assert console_errors(driver) == []
         assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
@@ -95,102 +104,112 @@ def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_works
         driver.get("about:blank")
 
 
-def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, answers):
+def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, one):
     from selenium.webdriver.common.keys import Keys
 
-    def types(place: int, text: str) -> None:
-        field = visitor.one(f"#t{place}")
+    def types(name: str, text: str) -> None:
+        field = visitor.one(f"#{name}")
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(Keys.BACKSPACE, text, Keys.ENTER)
 
-    point = answers.about()["presets"][0]["point"]
-    types(6, "2.5e9")
-    types(8, "0.4567")
-    expected = answers.predict([*point[:6], 2.5e9, point[7], 0.4567])["probabilities"]
-    until(lambda: abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9, "its prediction")
+    types("k", "2.5e9")
+    types("A_p", "0.4567")
+    shows(visitor, expected(one, k=2.5e9, A_p=0.4567))
     for text in ("0.9", "much", ""):
-        types(8, text)
-        until(
-            lambda result=text: there(visitor, "#t8-fault", f"A_p: a number from 0.1 to 0.8, not “{result}”."),
-            "a reason",
-        )
-        assert visitor.one("#t8").get_attribute("aria-invalid") == "true"
-        assert visitor.one("#t8").value_of_css_property("border-color") == "rgb(180, 35, 24)"
-    assert abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9
-    types(8, "0.4567")
-    assert not there(visitor, "#t8-fault")
-    assert visitor.one("#t6").get_attribute("value") == "2.5e9"
+        types("A_p", text)
+        assert visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_p"))
+        assert visitor.one("#A_p").get_attribute("validationMessage")
+        assert visitor.one("#A_p").value_of_css_property("border-color") == "rgb(180, 35, 24)"
+    shows(visitor, expected(one, k=2.5e9, A_p=0.4567))
+    types("A_p", "0.4567")
+    assert not visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_p"))
+    assert visitor.one("#k").get_attribute("value") == "2.5e9"
 
 
-def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(visitor, answers):
+def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(visitor, one):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
 
-    x, y = answers.about()["plane"]
-    columns = [answers.space.names.index(name) for name in (x, y)]
-    before = visitor.marker(), [visitor.one(f"#t{i}").get_attribute("value") for i in range(9)]
+    def values() -> dict[str, str]:
+        return {name: visitor.one(f"#{name}").get_attribute("value") for name in one.space.names}
+
+    x, y = (visitor.one(f"#{name}").get_attribute("value") for name in ("across", "up"))
+    before = visitor.marker(), values()
     drawing = visitor.one("#plane svg")
     visitor.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", drawing)
     box = drawing.size
+    place = visitor.driver.execute_script(
+        "const { style } = document.querySelector('#plane .drawing');"
+        "return ['left', 'right', 'top', 'bottom'].map((side) => Number(style.getPropertyValue(`--${side}`)))"
+    )
+    left, right, top, bottom = place
     ActionChains(visitor.driver).move_to_element_with_offset(
-        drawing, -box["width"] // 5, box["height"] // 5
+        drawing,
+        round(box["width"] * (left + 0.2 * (right - left) - 0.5)),
+        round(box["height"] * (bottom - 0.3 * (bottom - top) - 0.5)),
     ).click().perform()
     until(lambda: visitor.marker() != before[0], "the marker to move")
-    left, top = visitor.marker()
-    assert left == pytest.approx(30.0, abs=1.5)
-    assert top == pytest.approx(70.0, abs=1.5)
-    after = [visitor.one(f"#t{i}").get_attribute("value") for i in range(9)]
-    assert {i for i in range(9) if after[i] != before[1][i]} == set(columns)
+    assert visitor.marker() == pytest.approx((20.0, 70.0), abs=1.5)
+    after = values()
+    assert {name for name in after if after[name] != before[1][name]} == {x, y}
+    ring = visitor.one("#plane .ring").rect
+    assert ring["x"] + 9 == pytest.approx(drawing.rect["x"] + (left + 0.2 * (right - left)) * box["width"], abs=3)
+    across, down = visitor.marker()
     visitor.one("#plane").send_keys(Keys.ARROW_RIGHT)
-    until(lambda: visitor.marker()[0] > left, "the arrow key")
-    assert visitor.marker()[1] == pytest.approx(top)
+    until(lambda: visitor.marker()[0] > across, "the arrow key")
+    assert visitor.marker()[1] == pytest.approx(down)
+    said = [f"{visitor.one(f'#s-{name} b').text}".replace("\n", "") + f" {values()[name]}" for name in (x, y)]
+    until(lambda: all(there(visitor, "#plane [role=status]", text) for text in said), "the word of the move")
+    assert there(visitor, "#plane [role=status]", visitor.one("#predict .card b").text)
 
 
-def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, tmp_path):
+def test_two_equal_axes_are_exchanged(visitor):
+    from selenium.webdriver.support.select import Select
+
+    x, y = (visitor.one(f"#{name}").get_attribute("value") for name in ("across", "up"))
+    Select(visitor.one("#across")).select_by_value(y)
+    until(lambda: there(visitor, f"#plane [data-axes='{y} {x}']"), "the plane")
+
+
+def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, one, tmp_path):
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.select import Select
 
-    presets = answers.about()["presets"]
-    failing = next(i for i, preset in enumerate(presets) if answers.simulate(preset["point"])["outcome"] == "failure")
-    # A twentieth of a second passes from one frame to the next, however few of them a busy machine draws.
+    outcomes = ['data-outcome="failure"' in one.simulate(form(X)) for _, X in one.presets]
+    failing = outcomes.index(True)
     visitor.driver.execute_script(
         """
-        const draw = window.requestAnimationFrame.bind(window);
-        let now = performance.now();
-        window.requestAnimationFrame = (tick) => draw(() => tick((now += 50)));
         window.seen = new Set();
-        const note = () => window.seen.add(document.querySelector("#slider")?.getAttribute("transform"));
-        const changes = { subtree: true, childList: true, attributes: true };
-        new MutationObserver(note).observe(document.querySelector("#stage"), changes);
+        const note = () => {
+          const place = document.querySelector("#slider")?.getCTM();
+          if (place) window.seen.add(place.e);
+          requestAnimationFrame(note);
+        };
+        note();
         """
     )
     Select(visitor.one("#preset")).select_by_index(failing)
-    visitor.one("#simulate").click()
-    until(lambda: visitor.one("#outcome").get_attribute("data-outcome") == "failure", "the outcome")
-    assert visitor.one("#outcome").text.startswith("Failure by ")
+    visitor.one("[value=simulate]").click()
+    until(lambda: there(visitor, "#simulate .result", "Failure by "), "the outcome")
     until(lambda: visitor.one("#play").text == "Play", "the end of the film")
     assert visitor.driver.execute_script("return window.seen.size") > 10
-    assert visitor.one("#time").get_attribute("value") == "239"
-    until(lambda: visitor.driver.find_elements("css selector", "#histories svg"), "the histories")
-    cursor, drawing = visitor.one("#cursor").rect, visitor.one("#histories svg").rect
-    point = presets[failing]["point"]
-    figure, end = answers.histories(point, narrow=False), answers.simulate(point)["frames"]["t"][-1]
-    axes, (first, last) = figure["axes"], figure["times"]
-    across = axes["left"] + (end - first) / (last - first) * (axes["right"] - axes["left"])
-    assert cursor["x"] + 1.0 == pytest.approx(drawing["x"] + across * drawing["width"], abs=2.0)
-    assert cursor["height"] == pytest.approx((axes["bottom"] - axes["top"]) * drawing["height"], abs=2.0)
+    assert visitor.one("#time").get_attribute("value") == "1"
+    drawing, cursor = visitor.one(".film .drawing").rect, visitor.one(".cursor").rect
+    place = place_in(one.simulate(form(one.presets[failing][1])))
+    assert cursor["x"] + 1.0 == pytest.approx(drawing["x"] + place["right"] * drawing["width"], abs=2.0)
+    assert cursor["height"] == pytest.approx((place["bottom"] - place["top"]) * drawing["height"], abs=2.0)
     visitor.one("#time").send_keys(Keys.HOME)
-    until(lambda: visitor.one("#cursor").rect["x"] < cursor["x"] - 10.0, "the upright line")
-    assert visitor.one("#ruler").text in {"0.5 m", "0.2 m", "0.1 m"}
+    until(lambda: visitor.one(".cursor").rect["x"] < cursor["x"] - 10.0, "the upright line")
+    assert there(visitor, ".stage text", " m")
     assert visitor.one("#command").text.startswith("activefail simulate --t-b ")
-    assert float(visitor.one("body").get_attribute("data-simulate-ms")) > 0.0
     visitor.driver.set_window_size(1400, 2000)
     photograph(visitor.driver, screenshots("explorer-desktop.png", tmp_path))
-    assert not visitor.one("#earlier").is_displayed()
-    visitor.one("#v8").send_keys(Keys.HOME)
-    until(lambda: visitor.one("#earlier").is_displayed(), "the word that the motion is of an earlier design")
-    visitor.one("#simulate").click()
-    until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
+    assert not visitor.one(".stale").is_displayed()
+    visitor.slider("A_p").send_keys(Keys.HOME)
+    until(lambda: visitor.one(".stale").is_displayed(), "the word that the motion is of an earlier design")
+    visitor.one("[value=simulate]").click()
+    until(lambda: there(visitor, "#simulate:not([data-stale]) .result"), "the motion of this design")
+    assert not visitor.one(".stale").is_displayed()
 
 
 def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
@@ -200,8 +219,8 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
     driver.get(address)
     visitor = Explorer(driver)
     visitor.settled()
-    visitor.one("#simulate").click()
-    until(lambda: visitor.one("#outcome").text, "the outcome")
+    visitor.one("[value=simulate]").click()
+    until(lambda: driver.find_elements("css selector", "#simulate .result"), "the outcome")
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
     for control in driver.find_elements("css selector", "button, select, input"):
         if control.is_displayed():
@@ -212,36 +231,32 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
     assert console_errors(driver) == []
 
 
-def test_a_question_that_fails_says_so_in_its_place(driver, answers):
+def test_a_panel_that_fails_says_so_in_its_place(driver, findings):
     def fail() -> None:
         raise InputError("The code was moved.")
 
     fresh(driver, 1400, 1000)
-    with served(answers) as running:
-        running.site = CampaignSite(answers, Slow(lambda: answers.findings.classifier, fail, lambda: None))
+    with served(site_of(findings, failure=fail)) as running:
         driver.get(running.address)
         until(lambda: there(Visitor(driver), "#failure", "No answer: The code was moved."), "the reason")
-        assert not there(Visitor(driver), "#failure", "Computing")
         driver.get("about:blank")
 
 
-def test_every_control_is_reached_by_the_tab_key(visitor):
+def test_every_control_is_reached_by_the_tab_key_and_has_a_name(visitor, one):
     from selenium.webdriver.common.keys import Keys
 
-    visitor.one("#simulate").click()
-    until(lambda: visitor.one("#film").is_displayed(), "the film")
+    visitor.one("[value=simulate]").click()
+    until(lambda: visitor.driver.find_elements("css selector", ".film"), "the film")
     visitor.driver.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
     reached = []
     for _ in range(34):
         visitor.driver.switch_to.active_element.send_keys(Keys.TAB)
-        reached.append(visitor.driver.execute_script("return document.activeElement.id"))
-    expected = [
-        "preset",
-        *(f"{kind}{i}" for i in range(9) for kind in "tv"),
-        "plane-x",
-        "plane-y",
-        "plane-shown",
-        "plane",
-        "along",
-    ]
-    assert [name for name in [*expected, "simulate", "play", "time"] if name not in reached] == []
+        reached.append(
+            visitor.driver.execute_script("return document.activeElement.id || document.activeElement.ariaLabel")
+        )
+    sliders = [visitor.slider(name).get_attribute("aria-label") for name in one.space.names]
+    wanted = ["preset", *one.space.names, *sliders, "across", "up", "shown", "plane", "along", "play", "time"]
+    assert [name for name in wanted if name not in reached] == []
+    for control in visitor.driver.find_elements("css selector", "button, select, input"):
+        if control.is_displayed():
+            assert control.accessible_name

@@ -14,9 +14,9 @@ from report.browser import console_errors, fresh
 from report.test_report import ran
 
 from activefail.campaign.on_disk import create_folder
+from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.explorer import runs as all_runs
-from activefail.explorer.answers import Answers
 from activefail.explorer.runs import Runs, run_folders
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import findings_of
@@ -64,14 +64,12 @@ def site_below(folder: Path):
     campaign = disc()
     with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
         learned = current(campaign, store, write=False)
-        return site_of(Answers(findings_of(folder, campaign, store, learned.classifier)), home="../../")
+        return site_of(findings_of(folder, campaign, store, learned.classifier), home="../../")
 
 
 @pytest.fixture
 def runs(folder: Path):
-    site = Runs(folder, site_below)
-    yield site
-    site.close()
+    return Runs(folder, site_below)
 
 
 def rows(runs: Runs) -> dict[str, dict]:
@@ -94,7 +92,7 @@ def test_each_run_folder_is_a_row_and_one_that_cannot_be_read_says_why(runs, fol
     summary = read_status(folder / NAME).summary
     assert shown[NAME]["counts"] == [f"{n} {name}" for name, n in zip(summary.outcomes, summary.counts, strict=False)]
     assert shown[NAME]["answer"][0] == "error on 100 validation designs, 95 % interval"
-    assert len(shown[NAME]["curve"].line.split()) == len(read_status(folder / NAME).curve) > 1
+    assert len(shown[NAME]["curve"]["line"]) == len(read_status(folder / NAME).curve) > 1
     text = runs.page("/")
     assert "a &lt;b&gt; &amp; 100 %" in text
     assert 'href="run/a%20%3Cb%3E%20%26%20100%20%25/"' in text
@@ -234,12 +232,6 @@ def test_a_folder_whose_name_is_no_text_has_a_row_and_a_page(folder):
 class Stub:
     """A site that does nothing."""
 
-    def __init__(self) -> None:
-        self.is_busy, self.closed = False, 0
-
-    def close(self) -> None:
-        self.closed += 1
-
 
 def test_who_asks_an_open_campaign_does_not_wait_while_another_opens(folder):
     opening, may_end = threading.Event(), threading.Event()
@@ -281,20 +273,32 @@ def test_two_campaigns_open_at_once_and_one_that_two_ask_opens_once(folder):
     assert sorted(opened) == sorted((NAME, "stopped"))
 
 
-def test_of_too_many_open_campaigns_the_idle_one_asked_longest_ago_is_closed(folder, monkeypatch):
+def test_of_too_many_open_campaigns_the_one_asked_longest_ago_is_closed(folder, monkeypatch):
     monkeypatch.setattr(all_runs, "_MOST_OPEN", 2)
-    runs = Runs(folder, lambda path: Stub())
+    opened = []
+    runs = Runs(folder, lambda path: opened.append(path.name) or Stub())
     one, two = runs.below(NAME, anew=True), runs.below("stopped", anew=True)
-    one.is_busy = True
-    (folder / NAME / "journal").touch()
     assert runs.below(NAME, anew=True) is one
-    assert runs.below("stopped", anew=False) is two
-    three = runs.below("damaged", anew=True)
-    assert [site.closed for site in (one, two, three)] == [0, 1, 0]
-    one.is_busy = False
-    runs.below("old", anew=True)
-    assert [site.closed for site in (one, two, three)] == [1, 1, 0]
+    runs.below("damaged", anew=True)
+    assert runs.below(NAME, anew=False) is one
+    assert runs.below("stopped", anew=False) is not two
+    assert opened == [NAME, "stopped", "damaged", "stopped"]
     assert runs.below("../all", anew=True) is None
+
+
+def test_a_campaign_that_could_not_be_opened_is_tried_again(folder):
+    tried = []
+
+    def open_site(path: Path) -> Stub:
+        tried.append(path.name)
+        if len(tried) == 1:
+            raise InputError("not yet")
+        return Stub()
+
+    runs = Runs(folder, open_site)
+    with pytest.raises(InputError, match="not yet"):
+        runs.below(NAME, anew=True)
+    assert runs.below(NAME, anew=True) is not None
 
 
 def test_a_request_of_an_open_campaign_lists_no_folders(folder, monkeypatch):
@@ -321,10 +325,9 @@ def test_new_simulations_and_new_run_folders_appear_and_an_unchanged_folder_is_n
     runs, folder, monkeypatch
 ):
     monkeypatch.setattr(all_runs, "_SHARE", 1e9)
-    question = runs.question("/api/runs")
-    assert question is not None
-    first = question.answer(known=None)
-    assert question.answer(known=first["digest"])["html"] is None
+    table = runs.panel("runs")
+    assert table is not None
+    assert table({}) == table({})
     read = []
     monkeypatch.setattr(all_runs, "read_status", lambda path: read.append(path.name) or read_status(path))
     campaign = disc()
@@ -337,9 +340,9 @@ def test_new_simulations_and_new_run_folders_appear_and_an_unchanged_folder_is_n
         assert rows(runs)["stopped"]["done"] == 20
     assert rows(runs)["stopped"]["state"] == "stopped"
     create_folder(folder / "new", disc(Disc(blind=0.0))).close()
-    news = question.answer(known=first["digest"])
-    assert ">new<" in news["html"]
-    assert "0 of 28" in news["html"]
+    news = table({})
+    assert ">new<" in news
+    assert "0 of 28" in news
     shutil.rmtree(folder / "new")
     assert "new" not in rows(runs)
     assert set(read) == {"stopped", "new"}
@@ -382,7 +385,7 @@ def test_a_campaign_is_opened_once_and_again_when_its_record_has_changed(folder)
         shown = request(server, path=address)
         assert shown.status == 200
         assert "This design" in shown.text
-        assert ask(server, "../run/a%20%3Cb%3E%20%26%20100%20%25/api/predict", {"point": [0.0, 30.0]}).status == 404
+        assert ask(server, "../run/a%20%3Cb%3E%20%26%20100%20%25/api/predict", {"x": 0.0, "y": 30.0}).status == 404
         for path in ("/run/nothing/", "/run/../", "/run/%2e%2e/", "/run/notes/", "/run/old", "/design"):
             assert request(server, path=path).status == 404
         assert request(server, path=address).status == 200

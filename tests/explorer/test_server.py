@@ -9,15 +9,16 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-from explorer.conftest import served, site_of
+from explorer.conftest import form, served, site_of
 from patience import PATIENCE, until
 
 from activefail.errors import InputError
 from activefail.explorer import server as explorer_server
-from activefail.explorer.answers import Answers
 from activefail.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
+from activefail.findings.results import Findings
 
 POINT = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
+FORM = form(POINT, across="T_p", up="A_p", shown="failure", along="A_p")
 
 
 class Reply:
@@ -55,29 +56,30 @@ def ask(server: ExplorerServer, question: str, what: object, **headers: str) -> 
 
 
 @pytest.fixture(scope="module")
-def abroad(answers: Answers):
+def abroad(findings: Findings):
     """A server that other machines may reach."""
-    with served(answers, "0.0.0.0") as running:
+    with served(site_of(findings), "0.0.0.0") as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def tokened(answers: Answers):
+def tokened(findings: Findings):
     """A server on this machine that needs the token."""
-    with served(answers, "127.0.0.1", needs_token=True) as running:
+    with served(site_of(findings), "127.0.0.1", needs_token=True) as running:
         yield running
 
 
 def test_the_page_its_files_and_its_questions_are_served(server):
     assert "This design" in request(server).text
-    for path, kind in (("/explorer.js", "text/javascript"), ("/explorer.css", "text/css")):
+    for path, kind in (("/page.js", "text/javascript"), ("/explorer.css", "text/css"), ("/page.css", "text/css")):
         answer = request(server, path=path)
         assert answer.status == 200
         assert answer.headers["Content-Type"].startswith(kind)
-    assert sum(ask(server, "predict", {"point": POINT}).json["probabilities"]) == pytest.approx(1.0)
-    assert ask(server, "simulate", {"point": POINT}).json["outcome"] == "failure"
-    assert ask(server, "plane", {"point": POINT, "x": "T_p", "y": "A_p", "shown": "failure"}).status == 200
-    assert ask(server, "fragility", {"point": POINT, "along": "A_p"}).status == 200
+    shares = re.findall(r'data-probability="(.*?)"', ask(server, "predict", FORM).text)
+    assert sum(map(float, shares)) == pytest.approx(1.0)
+    assert 'data-outcome="failure"' in ask(server, "simulate", FORM).text
+    assert ask(server, "plane", FORM).status == 200
+    assert ask(server, "fragility", FORM).status == 200
 
 
 def test_a_page_may_load_nothing_from_elsewhere_and_be_shown_nowhere_else(server):
@@ -111,31 +113,33 @@ def test_this_machine_s_own_names_are_answered(server, host):
 
 
 def test_another_site_s_page_may_not_ask(server):
-    assert ask(server, "predict", {"point": POINT}, Origin="http://evil.example").status == 403
+    assert ask(server, "predict", FORM, Origin="http://evil.example").status == 403
     own = f"http://127.0.0.1:{server.server_address[1]}"
-    assert ask(server, "predict", {"point": POINT}, Origin=own).status == 200
-    assert ask(server, "predict", {"point": POINT}, Content_Type="text/plain").status == 415
+    assert ask(server, "predict", FORM, Origin=own).status == 200
+    assert ask(server, "predict", FORM, Content_Type="text/plain").status == 415
     # Over http, browsers send no Sec-Fetch-Site to other names than localhost.
-    answer = ask(server, "predict", {"point": POINT}, Origin="http://hub.example")
+    answer = ask(server, "predict", FORM, Origin="http://hub.example")
     assert "must keep the Host header" in answer.text
     # A proxy replaced the Host; only a browser can say so.
     for site, status in (("same-origin", 200), ("same-site", 403), ("cross-site", 403)):
         asked = {"Origin": "https://hub.example", "Sec-Fetch-Site": site}
-        assert ask(server, "predict", {"point": POINT}, **asked).status == status
+        assert ask(server, "predict", FORM, **asked).status == status
 
 
 @pytest.mark.parametrize(
     ("question", "what", "status", "says"),
     [
-        ("predict", {"point": [*POINT[:8], 9.0]}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
-        ("predict", {"point": [1.0]}, 400, "question.point: must be a list of 9 numbers"),
+        ("predict", FORM | {"A_p": 9.0}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
+        ("predict", {"T_b": "4"}, 400, "mu: must lie between 0.02 and 0.12, got None"),
+        ("predict", [1.0], 400, "must be a JSON object"),
         *(
-            ("predict", {"point": [*POINT[:8], value]}, 400, "A_p: must lie between 0.1 and 0.8")
-            for value in (float("nan"), 10**400, True)
+            ("predict", FORM | {"A_p": value}, 400, "A_p: must lie between 0.1 and 0.8")
+            for value in (float("nan"), 10**400, True, "nan", "much", "", [0.5], {})
         ),
-        ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "y: must be one of T_b"),
-        ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two different variables"),
-        ("delete", {"point": POINT}, 404, "Unknown request"),
+        ("plane", FORM | {"up": "../../etc"}, 400, "up: must be one of T_b"),
+        ("plane", FORM | {"up": "T_p"}, 400, "two different variables"),
+        ("plane", FORM | {"shown": ["failure"]}, 400, "shown: must be one of impact, failure, uncertainty"),
+        ("delete", FORM, 404, "Unknown request"),
     ],
 )
 def test_a_question_that_makes_no_sense_is_refused_in_words(server, question, what, status, says):
@@ -193,13 +197,14 @@ def test_what_is_no_http_is_refused_in_words(server):
     assert b'{"error": "Bad request syntax' in received
 
 
-def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(answers, monkeypatch, capfd):
-    def fails(point):
+def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(findings, monkeypatch, capfd):
+    def fails(values):
         raise RuntimeError("a secret of the machine")
 
-    monkeypatch.setattr(answers, "predict", fails)
-    with served(answers) as server:
-        answer = ask(server, "predict", {"point": POINT})
+    site = site_of(findings)
+    monkeypatch.setattr(site, "panel", lambda name: fails)
+    with served(site) as server:
+        answer = ask(server, "predict", FORM)
     assert answer.status == 500
     assert answer.json == {"error": "The explorer failed; its terminal shows the error."}
     assert "a secret of the machine" in capfd.readouterr().err
@@ -210,10 +215,10 @@ def test_beyond_this_machine_a_token_is_needed_for_everything(abroad):
     assert len(abroad.token) >= 32
     for answer in (
         request(abroad),
-        request(abroad, path="/explorer.js"),
+        request(abroad, path="/page.js"),
         request(abroad, path="/?token=wrong"),
         request(abroad, Cookie="activefail-token=wrong"),
-        ask(abroad, "predict", {"point": POINT}),
+        ask(abroad, "predict", FORM),
         request(abroad, "POST", f"/api/predict?token={abroad.token}", b"{}", Content_Type="application/json"),
     ):
         assert answer.status == 403
@@ -229,7 +234,7 @@ def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad
     kept = cookie.split(";")[0]
     assert "This design" in request(abroad, Cookie=f'of another={{"a": 1}}; a:b=1; flag; {kept}').text
     assert "This design" in request(abroad, Cookie=kept).text
-    assert ask(abroad, "predict", {"point": POINT}, Cookie=kept).status == 200
+    assert ask(abroad, "predict", FORM, Cookie=kept).status == 200
 
 
 def test_behind_a_proxy_that_adds_a_path_and_another_name_all_addresses_are_relative(tokened):
@@ -240,10 +245,9 @@ def test_behind_a_proxy_that_adds_a_path_and_another_name_all_addresses_are_rela
         text = request(tokened, path=path, Host="hub.example", Cookie=cookie).text
         assert not re.findall(r"""(?:href|src)="/""", text)
         origin = {"Origin": "https://hub.example", "Host": "hub.example", "Cookie": cookie}
-        assert ask(tokened, "predict", {"point": POINT}, **origin).status == 200
-    for script in ("common", "explorer", "design"):
-        text = request(tokened, path=f"/{script}.js", Cookie=cookie).text
-        assert not re.findall(r"""(?:fetch\(|from )["'`]/""", text)
+        assert ask(tokened, "predict", FORM, **origin).status == 200
+    text = request(tokened, path="/page.js", Cookie=cookie).text
+    assert not re.findall(r"""(?:fetch\(|from )["'`]/""", text)
     assert request(tokened, Host="hub.example").status == 403
 
 
@@ -259,13 +263,13 @@ def test_the_loopback_interface_is_told_apart():
     assert [host for host in ("0.0.0.0", "::", "192.168.0.1", "example.org", "") if is_loopback(host)] == []
 
 
-def test_a_port_that_is_taken_is_named_with_the_reason(answers):
+def test_a_port_that_is_taken_is_named_with_the_reason(findings):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=rf"Cannot listen on 127\.0\.0\.1:{port}: Address already in use"):
-            ExplorerServer("127.0.0.1", port, site_of(answers))
+            ExplorerServer("127.0.0.1", port, site_of(findings))
 
 
 # --- many visitors at once ---------------------------------------------------------------------------------------
@@ -289,17 +293,16 @@ def reply(line: socket.socket) -> Reply:
     return Reply(response)
 
 
-def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answers):
+def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(findings):
     with ExitStack() as stack:
-        server = stack.enter_context(ExplorerServer("127.0.0.1", 0, site_of(answers)))
+        server = stack.enter_context(ExplorerServer("127.0.0.1", 0, site_of(findings)))
         # Nobody accepts them yet: the system must hold them all.
         lines = [stack.enter_context(connected(server)) for _ in range(200)]
-        point = {"point": POINT}
         questions = [
             b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % server.server_address[1],
-            question(server, "predict", point),
-            question(server, "fragility", point | {"along": "A_p"}),
-            question(server, "simulate", point),
+            question(server, "predict", FORM),
+            question(server, "fragility", FORM),
+            question(server, "simulate", FORM),
         ]
         for number, line in enumerate(lines):
             kind = number % len(questions)
@@ -313,13 +316,13 @@ def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answ
     assert {answer.status for answer in replies} == {200}
 
 
-def test_a_connection_beyond_the_most_is_closed_until_there_is_room(answers, monkeypatch):
+def test_a_connection_beyond_the_most_is_closed_until_there_is_room(findings, monkeypatch):
     monkeypatch.setattr(explorer_server, "MOST_CONNECTIONS", 2)
-    with served(answers) as server:
+    with served(site_of(findings)) as server:
         with connected(server) as one, connected(server) as other, connected(server) as beyond:
             assert beyond.recv(1) == b""
             for line in (one, other):
-                line.sendall(question(server, "predict", {"point": POINT}))
+                line.sendall(question(server, "predict", FORM))
                 assert reply(line).status == 200
 
         def is_served() -> bool:
