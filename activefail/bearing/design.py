@@ -223,6 +223,10 @@ class Model:
             slider_density=self.slider_density,
             friction_velocity=self.friction_velocity,
         )
+        if not self.slider_diameter < 5.0:
+            raise InputError(f"`slider_diameter < 5` must hold, got {self.slider_diameter} m.")
+        if not self.friction_velocity <= 0.1:
+            raise InputError(f"`friction_velocity <= 0.1` must hold, got {self.friction_velocity} m/s.")
         if not 0.0 < self.restitution_coefficient <= 1.0:
             raise InputError(f"`0 < restitution_coefficient <= 1` must hold, got {self.restitution_coefficient}.")
         if self.restitution not in RESTITUTIONS:

@@ -332,7 +332,7 @@ class BearingSettings(Section):
     rim: Literal["rigid", "breaking", "yielding", "none"] = "rigid"
     rim_strength: float | None = Field(None, ge=0.0)
     rim_deformation: float | None = Field(None, gt=0.0)
-    tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
+    tolerance: float = Field(1e-4, ge=1e-12, le=1e-2)
 
     @model_validator(mode="after")
     def _is_a_model(self) -> Self:

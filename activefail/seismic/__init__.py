@@ -1,0 +1,1 @@
+"""Seismic isolation bearings: what the core does not know of."""
