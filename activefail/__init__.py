@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     )
     from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
     from activefail.opening import create_run, open_run
-    from activefail.requests import hazard, ida
     from activefail.risk.ida.p695 import MarginRequest
     from activefail.run import Run
+    from activefail.seismic.analyses import hazard, ida
 
 __version__ = "0.3.0"
 
@@ -65,7 +65,7 @@ _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "Sto
 _MODULES = {
     "read_accelerogram": "accelerogram_files",
     **dict.fromkeys(("RecordSet", "SetRecord", "read_record_set"), "accelerogram_sets"),
-    **dict.fromkeys(("hazard", "ida"), "requests"),
+    **dict.fromkeys(("hazard", "ida"), "seismic.analyses"),
     "MarginRequest": "risk.ida.p695",
     "Run": "run",
     "create_run": "opening",

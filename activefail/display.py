@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from activefail.interrupts import stop_on_signals
@@ -191,18 +190,6 @@ def _notebook_observer(campaign: "Campaign", stop: Callable[[], bool]) -> "Obser
         shown.update(page(""))
 
     return Observer(update, lambda stage: shown.update(page(stage)), stop)
-
-
-def html_of(folder: Path) -> str:
-    """The state of a run folder as a table of HTML."""
-    from activefail.findings.status import read_status
-
-    status = read_status(folder)
-    lines = [*status.lines, ("warning", status.summary.unseen_warning), *status.continuation]
-    rows = "".join(
-        f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
-    )
-    return f"<table><caption>{escape(visible(str(folder)))}</caption>{rows}</table>"
 
 
 def seeking_line(campaign: "Campaign") -> str:

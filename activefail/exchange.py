@@ -4,7 +4,7 @@ Each function is a method of `Run`.
 """
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import index
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,23 +12,20 @@ import numpy as np
 
 from activefail.arguments import check_whole, table_of
 from activefail.errors import InputError, TableWarning
-from activefail.surrogate.threads import one_thread
+from activefail.session import Session, propose, recording
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pandas import DataFrame
 
     from activefail.campaign.results_table import Reading, ResultTable
     from activefail.csv_table import Table
     from activefail.loop.in_flight import HandedOut
-    from activefail.run import Run
 
 _LARGEST_ID = 2**53
 """Largest id; none is that large."""
 
 
-def ask(run: "Run", n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
+def ask(run: Session, n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
     """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
 
     None of them is handed out again, not even after a crash; `in_flight` lists them. The proposals are those of
@@ -51,20 +48,16 @@ def ask(run: "Run", n: int = 1, *, beyond: bool = False, ignore_stop: bool = Fal
         ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
     """
     from activefail.findings.tables import designs_frame
-    from activefail.loop import asking
 
     check_whole("n", n, 1)
-    with run._turn, one_thread():
-        budget = None if beyond else run.settings.sampling.budget
-        proposed = asking.ask(run.campaign, run.store, n, budget, ignore_stop, run._learned)
-        run._learned = proposed.learned or run._learned
+    proposed = propose(run, n, None if beyond else run.settings.sampling.budget, ignore_stop)
     frame = designs_frame(run.campaign, proposed.designs)
     frame.attrs["reason"] = proposed.reason
     return frame
 
 
 def tell(
-    run: "Run",
+    run: Session,
     table: Any,
     *,
     correct: bool = False,
@@ -108,18 +101,16 @@ def tell(
     checked = table_of(table)
     if not checked.columns:
         return 0
-    with run._turn:
+    # What was learned came from the former results.
+    with recording(run, relearns=correct):
         told, handed_out = _told(run, checked, Reading(names or {}, skip_invalid), changed)
         if not correct:
             return _record(run, told, telling.tell, "ids", skip_invalid, changed=changed)
         lost = telling.lost_margins(run.campaign, told.ids, told.results, handed_out)
-        new = _record(run, told, telling.correct, "ids", skip_invalid, lost)
-        # What was learned came from the former results.
-        run._forget()
-    return new
+        return _record(run, told, telling.correct, "ids", skip_invalid, lost)
 
 
-def is_told(run: "Run", table: Any) -> bool:
+def is_told(run: Session, table: Any) -> bool:
     """Whether a table holds no result that `tell` would record.
 
     Args:
@@ -135,7 +126,7 @@ def is_told(run: "Run", table: Any) -> bool:
     return not new_results(run.campaign, told.ids, told.results, handed_out)
 
 
-def _told(run: "Run", table: "Table", reading: "Reading", changed: bool = False) -> "tuple[ResultTable, HandedOut]":
+def _told(run: Session, table: "Table", reading: "Reading", changed: bool = False) -> "tuple[ResultTable, HandedOut]":
     """The results in a table, with designs as they were handed out or simulated, and the designs of the record."""
     from activefail.campaign.results_table import ResultTable
 
@@ -147,7 +138,7 @@ def _told(run: "Run", table: "Table", reading: "Reading", changed: bool = False)
     ), handed_out
 
 
-def drop(run: "Run", ids: Iterable[int] | int) -> int:
+def drop(run: Session, ids: Iterable[int] | int) -> int:
     """Give up designs in flight: they get no result and are not proposed again.
 
     Args:
@@ -167,12 +158,12 @@ def drop(run: "Run", ids: Iterable[int] | int) -> int:
     numbers = np.atleast_1d(np.asarray(ids, dtype=object)).tolist()
     for number in numbers:
         check_whole("ids", number, 0, _LARGEST_ID)
-    with run._turn:
+    with recording(run):
         return telling.drop(run.store, np.array([index(number) for number in numbers], dtype=np.int64))
 
 
 def add(
-    run: "Run",
+    run: Session,
     table: Any,
     *,
     names: Mapping[str, str] | None = None,
@@ -207,17 +198,17 @@ def add(
     if not checked.columns:
         return 0
     added = ResultTable.added(run.campaign, checked, Reading(names or {}, skip_invalid, outside == "keep"))
-    with run._turn:
+    with recording(run):
         return _record(run, added, telling.add, "designs", skip_invalid)
 
 
 def _record(
-    run: "Run",
+    run: Session,
     results: "ResultTable",
     record: Callable[..., int],
     which: Literal["ids", "designs"],
     skip_invalid: bool,
-    more: "Sequence[str]" = (),
+    more: Sequence[str] = (),
     changed: bool = False,
 ) -> int:
     """Record results of a table, with warnings of likely mistakes in it; returns how many are new.
@@ -238,13 +229,12 @@ def _record(
         for text in (*results.warnings(run.campaign), *more):
             warnings.warn(text, TableWarning, stacklevel=5)
 
-    try:
+    while True:
         beside = {"labels": results.labels(run.campaign)} | ({"simulated": results.designs} if changed else {})
-        new = record(run.campaign, run.store, getattr(results, which), results.results, warn, **beside)
-    except RowsError as error:
-        reasons = {row: f"{results.table.places[row]}: {reason}." for row, reason in error.reasons.items()}
-        if not skip_invalid:
-            raise refusal(list(reasons.values())) from None
-        return _record(run, results.without(reasons), record, which, skip_invalid, more, changed)
-    run._predicts = None
-    return new
+        try:
+            return record(run.campaign, run.store, getattr(results, which), results.results, warn, **beside)
+        except RowsError as error:
+            reasons = {row: f"{results.table.places[row]}: {reason}." for row, reason in error.reasons.items()}
+            if not skip_invalid:
+                raise refusal(list(reasons.values())) from None
+            results = results.without(reasons)

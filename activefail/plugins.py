@@ -1,9 +1,10 @@
 """Plug-ins: packages that bring commands, analyses, simulators, features and kinds of questions.
 
-A plug-in is a module whose attributes in capitals are dictionaries of what it brings. Values of the form
-"module:name" are imported when they are used, so that a plug-in costs nothing before.
+A plug-in is a module whose attributes in capitals are dictionaries of what it brings, by name. Dictionaries and their
+values may be references, "module:name", which are imported when they are used.
 """
 
+import re
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -17,6 +18,9 @@ GROUP = "activefail.plugins"
 _SHIPPED = "activefail.seismic"
 
 
+_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
 @cache
 def plugins() -> tuple[ModuleType, ...]:
     """The plug-ins that are there: first the shipped one, also if the package was not installed."""
@@ -24,13 +28,15 @@ def plugins() -> tuple[ModuleType, ...]:
     return tuple(import_module(name) for name in named if name != _SHIPPED or find_spec(name) is not None)
 
 
-def brought(what: str) -> dict[str, Any]:
-    """What all plug-ins bring of a kind, by name: `brought("features")`."""
-    found = {name: value for one in plugins() for name, value in getattr(one, what.upper(), {}).items()}
-    return {name: _loaded(value) if isinstance(value, str) else value for name, value in found.items()}
+def brought(what: str) -> dict[Any, Any]:
+    """What all plug-ins bring of a kind, such as "features", or "commands" with the words of an example each."""
+    found = [_loaded(getattr(one, what.upper(), {})) for one in plugins()]
+    return {name: _loaded(value) for one in found for name, value in one.items()}
 
 
-@cache
-def _loaded(reference: str) -> Any:
-    module, _, name = reference.partition(":")
+def _loaded(value: Any) -> Any:
+    """What a reference names; anything else as it is."""
+    if not (isinstance(value, str) and _REFERENCE.fullmatch(value)):
+        return value
+    module, _, name = value.partition(":")
     return getattr(import_module(module), name)

@@ -1,37 +1,30 @@
 """`Run`: a run folder, open; the commands on run folders are its methods."""
 
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from activefail import exchange
-from activefail.arguments import (
-    check_whole,
-    source_of,
-    target_of,
-)
-from activefail.campaign.assembly import Campaign, check_enough_designs
-from activefail.campaign.continuing import how_to_continue, resume_command
+from activefail import analyses, exchange
+from activefail.arguments import check_whole, source_of, target_of
+from activefail.campaign.assembly import check_enough_designs
+from activefail.campaign.continuing import resume_command
 from activefail.campaign.inquiry import Inquiry
-from activefail.display import display_with_stop, html_of, shown_executor
+from activefail.display import display_with_stop
 from activefail.errors import InputError
 from activefail.files import path_of
 from activefail.findings.summary import Summary
-from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.numerals import duration
-from activefail.record.batch import INITIAL
-from activefail.request import method_of
-from activefail.requests import (
-    CompareRequest,
-    DesignRequest,
-    FragilityRequest,
-    ProbabilityRequest,
-    ReportRequest,
-    SensitivityRequest,
-    VerifyRequest,
+from activefail.progress import Begin, silent, uncounted
+from activefail.session import (
+    Session,
+    boundary_named,
+    first_simulations,
+    is_past_initial_design,
+    local_executor,
+    predicting,
+    recording,
 )
 from activefail.surrogate.threads import one_thread, one_thread_of_blas
 from activefail.visible import or_worse, words
@@ -40,19 +33,11 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from activefail.campaign.question import Question
-    from activefail.campaign.settings import CampaignSettings
     from activefail.csv_table import Source, Target
-    from activefail.execution.executor import AsynchronousExecutor, CountingExecutor
-    from activefail.features import FeatureMap
+    from activefail.execution.executor import AsynchronousExecutor
     from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
     from activefail.findings.results import Findings
-    from activefail.loop.in_flight import HandedOut
-    from activefail.loop.learning import Learned
-    from activefail.record.run_folder import FolderStore
-    from activefail.space import DesignSpace
-    from activefail.surrogate.classifier import Classifier
-    from activefail.surrogate.saved import SavedClassifier
 
 
 class Taken(NamedTuple):
@@ -76,7 +61,7 @@ class Taken(NamedTuple):
         return self.first_fault and f"simulations failed and gave no result; the first one: {self.first_fault}"
 
 
-class Run:
+class Run(Session):
     """An open run folder: a campaign, its record and its classifier.
 
     `create_run` and `open_run` return one; use it as a context manager to close it. Only one process at a time can open
@@ -88,52 +73,24 @@ class Run:
         writes: whether it is open for writing.
     """
 
-    def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
-        self._named, self.campaign, self.store, self.writes = folder, campaign, store, write
-        # Threads take turns: two that ask at once must not get the same designs.
-        self._turn = threading.RLock()
-        self._learned: Learned | None = None
-        self._predicts: tuple[int | None, Classifier | SavedClassifier] | None = None
-
-    # ------------------------------------------------------------------------------------------- properties
-
-    @property
-    def folder(self) -> Path:
-        """The run folder, as it was named; its absolute path once the working directory has changed."""
-        place = self.store.folder
-        return self._named if self._named.absolute() == place else place
-
-    @property
-    def settings(self) -> "CampaignSettings":
-        """The campaign's settings with all defaults."""
-        return self.campaign.settings
-
-    @property
-    def space(self) -> "DesignSpace":
-        """The design space."""
-        return self.campaign.space
-
-    @property
-    def boundary(self) -> str:
-        """The outcome of the (main) target boundary."""
-        return self.settings.acquisition.main_boundary
-
-    @property
-    def history(self) -> History:
-        """The simulations so far."""
-        return History.of(self.store.batches)
+    # ------------------------------------------------------------------------------------------- the campaign
 
     @property
     def summary(self) -> Summary:
         """The state of the campaign in counts."""
-        return self._summary_of(self.history)
+        return Summary.of_run(self)
 
     def summary_after(self, simulations: int) -> Summary:
         """The state of the campaign after its first simulations, in counts."""
-        return self._summary_of(first_simulations(self.history, simulations))
+        return Summary.of_run(self, first_simulations(self.history, simulations))
 
-    def _summary_of(self, history: History) -> Summary:
-        return Summary.of(self.settings, self.campaign.schema, history, self.store.asked)
+    @property
+    def counts(self) -> dict[str, int]:
+        """Simulations so far by outcome, then `numerical_failure` and the designs `in_flight`."""
+        history, outcomes = self.history, self.campaign.simulator.outcomes
+        counts = dict(zip(outcomes, history.counts(len(outcomes)).tolist(), strict=True))
+        failures = len(history.failed_designs)
+        return {**counts, "numerical_failure": failures, "in_flight": len(self.handed_out.in_flight)}
 
     def resume_command(
         self,
@@ -153,11 +110,6 @@ class Run:
         options += "" if budget is None else f" --budget {budget}"
         options += "" if failure_limit is None else f" --numerical-failures {failure_limit:g}"
         return resume_command(self.folder, self.campaign, changes_code) + options
-
-    @property
-    def learns_from_margins(self) -> bool:
-        """Whether boundaries may be learned from margins."""
-        return self.settings.classifier.learns != "outcomes" and bool(self.campaign.simulator.margins)
 
     @property
     def stop_messages(self) -> "StopMessages":
@@ -190,59 +142,6 @@ class Run:
                 f"budget: must be at least {done}, the number of recorded simulations that count towards it, got "
                 f"{budget}."
             )
-
-    @property
-    def handed_out(self) -> "HandedOut":
-        """The designs that were handed out, those in flight among them."""
-        from activefail.loop.in_flight import HandedOut
-
-        return HandedOut.of(self.store)
-
-    @property
-    def simulations(self) -> "DataFrame":
-        """The simulations so far, in the order of the record, with the columns of `activefail export`."""
-        from activefail.findings.tables import simulations_frame
-
-        return simulations_frame(self.campaign, self.store)
-
-    @property
-    def corrections(self) -> "DataFrame":
-        """The corrected results, in the order of their correction.
-
-        The columns are `id`, then `former_outcome`, `former_cause` and `former_<margin>` of the result that was
-        replaced, then `outcome`, `cause` and the margins of the one that replaced it.
-        """
-        from activefail.findings.tables import corrections_frame
-
-        return corrections_frame(self.campaign, self.store)
-
-    @property
-    def in_flight(self) -> "DataFrame":
-        """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
-        from activefail.findings.tables import designs_frame
-
-        return designs_frame(self.campaign, self.handed_out.in_flight)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Simulations so far by outcome, then `numerical_failure` and the designs `in_flight`."""
-        history, outcomes = self.history, self.campaign.simulator.outcomes
-        counts = dict(zip(outcomes, history.counts(len(outcomes)).tolist(), strict=True))
-        failures = len(history.failed_designs)
-        return {**counts, "numerical_failure": failures, "in_flight": len(self.handed_out.in_flight)}
-
-    @property
-    def features(self) -> "FeatureMap":
-        """The map from designs, (n, d) in the variables' units, to the scaled features, (n, m), of the classifier."""
-        return self.campaign.features
-
-    ask = exchange.ask
-    tell = exchange.tell
-    is_told = exchange.is_told
-    drop = exchange.drop
-    add = exchange.add
-
-    # ------------------------------------------------------------------------------------------- actions
 
     def take(
         self,
@@ -283,13 +182,12 @@ class Run:
         target = self.settings.sampling.budget if budget is None else budget
         with ExitStack() as stack:
             if executor is None:
-                executor = stack.enter_context(self._local_executor(workers))
+                executor = stack.enter_context(local_executor(self, workers))
             if observer is None:
                 shown = display_with_stop(self.campaign, self.stop_messages.requested)
                 observer = stack.enter_context(shown) if progress else Observer()
-            stack.enter_context(self._turn)
             # The loop records results and saves newer states, also if it fails later.
-            stack.callback(self._forget)
+            stack.enter_context(recording(self, relearns=True))
             finished = run(
                 self.campaign,
                 self.store,
@@ -308,75 +206,52 @@ class Run:
             stop_rule = too_small_for_rule(self.settings, looks.probability) if len(looks.table) else ""
         return Taken(finished, reached, next(iter(observer.faults), ""), stop_rule)
 
-    def _forget(self) -> None:
-        self._learned = self._predicts = None
+    # ------------------------------------------------------------------------------------------- tables
 
     @property
-    def classifier(self) -> "Classifier":
-        """The classifier of all recorded simulations (see `learn`)."""
-        return self.learn().classifier
+    def simulations(self) -> "DataFrame":
+        """The simulations so far, in the order of the record, with the columns of `activefail export`."""
+        from activefail.findings.tables import simulations_frame
 
-    def learn(self, stage: Callable[[str], None] = lambda _: None) -> "Learned":
-        """Learn from all recorded simulations, once; a run open for writing saves the classifier.
+        return simulations_frame(self.campaign, self.store)
 
-        Args:
-            stage: called when training begins.
+    @property
+    def corrections(self) -> "DataFrame":
+        """The corrected results, in the order of their correction.
 
-        Raises:
-            InputError: if no simulation has an outcome.
+        The columns are `id`, then `former_outcome`, `former_cause` and `former_<margin>` of the result that was
+        replaced, then `outcome`, `cause` and the margins of the one that replaced it.
         """
-        from activefail.loop.learning import current
+        from activefail.findings.tables import corrections_frame
 
-        with self._turn:
-            if not (simulations := len(self.history)):
-                how = how_to_continue(self.folder, self.campaign)
-                raise InputError(f"{self.folder}: has no simulations to learn from yet; {how}.")
-            if self._learned is None or self._learned.simulations < simulations:
-                stage("learning")
-                with one_thread():
-                    self._learned = current(self.campaign, self.store, self.writes, self._learned)
-            return self._learned
+        return corrections_frame(self.campaign, self.store)
 
-    def _predicting(self, after: int | None = None) -> "Classifier | SavedClassifier":
-        """The classifier of all recorded simulations, or of the first ones, for predictions alone.
+    @property
+    def in_flight(self) -> "DataFrame":
+        """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
+        from activefail.findings.tables import designs_frame
 
-        It comes from the saved state where this is of all simulations, so that torch is not loaded, unless some designs
-        did not exist, which no state has.
-        """
-        from activefail.loop.saved_learning import predicting, saved_current
-        from activefail.simulators.interface import is_impossible
+        return designs_frame(self.campaign, self.handed_out.in_flight)
 
-        with self._turn:
-            if self._predicts is None or self._predicts[0] != after:
-                predicts: Classifier | SavedClassifier | None = None
-                history = self.history[:after]
-                if is_impossible(self.campaign.simulator, history.outcome, history.cause).any():
-                    predicts = self.classifier if after is None else self.classifier_after(after)
-                elif after is None and len(history):
-                    with one_thread_of_blas():
-                        predicts = saved_current(self.campaign, self.store)
-                if predicts is None:
-                    learned = self.classifier if after is None else self.classifier_after(after)
-                    predicts = predicting(self.campaign, learned, history)
-                self._predicts = after, predicts
-            return self._predicts[1]
+    ask = exchange.ask
+    tell = exchange.tell
+    is_told = exchange.is_told
+    drop = exchange.drop
+    add = exchange.add
 
-    def classifier_after(self, simulations: int) -> "Classifier":
-        """The classifier of the first simulations, numerical failures included.
+    def export_table(self, target: "Target | str") -> int:
+        """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
+        from activefail.findings.tables import export_table
 
-        If the last of them ends a batch, the classifier is bit-identical to the campaign's at that time. Learning is
-        repeated from the initial design on.
+        return export_table(self.campaign, self.store, target_of("target", target))
 
-        Raises:
-            InputError: if none of them has an outcome, or fewer are recorded.
-        """
-        from activefail.loop.learning import classifier_after
+    def export_parquet(self, target: Path | str) -> int:
+        """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
+        from activefail.findings.tables import export_parquet
 
-        first = first_simulations(self.history, simulations)
-        if simulations == len(self.history):
-            return self.classifier
-        with one_thread():
-            return classifier_after(self.campaign, first)
+        return export_parquet(self.campaign, self.store, path_of("target", target))
+
+    # ------------------------------------------------------------------------------------------- what was learned
 
     def classifier_in_words(self, after: int | None = None) -> str:
         """How many results the classifier that predicts has learned from, and what is known of its error.
@@ -385,12 +260,8 @@ class Run:
             after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
         """
         from activefail.findings.learned_from import known_in_words
-        from activefail.verification.scores import last_error
 
-        history = self.history if after is None else self.history[:after]
-        error = last_error(self.store, self.campaign.learner_code) if len(history) == len(self.history) else None
-        with one_thread_of_blas():
-            return known_in_words(self.campaign, history, self._predicting(after), error)
+        return known_in_words(self, after)
 
     @property
     def learned_from(self) -> list[str]:
@@ -398,7 +269,7 @@ class Run:
         from activefail.findings.learned_from import choices_in_words
 
         history = self.history
-        if not self._is_past_initial_design or not self.learns_from_margins:
+        if not is_past_initial_design(self) or not self.learns_from_margins:
             return []
         return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
 
@@ -409,6 +280,31 @@ class Run:
 
         with one_thread():
             return findings_of(self.folder, self.campaign, self.store, self.classifier)
+
+    def failure(self, stage: Callable[[str], None] = silent) -> "FailureFindings | None":
+        """What is known of the probability of failure and the most probable failure.
+
+        Returns:
+            None unless the campaign learned from a margin, seeks a probability, or estimated one.
+        """
+        from activefail.findings.failure import failure_findings
+
+        return failure_findings(self, stage)
+
+    def model(self, outcome: str | None = None) -> Any:
+        """The latent of a boundary as a BoTorch model.
+
+        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. It is the very
+        model of the loop: a GPyTorch variational GP of the outcomes, or of minus the warped margin that the boundary is
+        learned from, or a custom model (docs/classifier.md).
+
+        Args:
+            outcome: of the boundary; the (main) target if None.
+
+        Raises:
+            InputError: if the outcome has no boundary, or there is no simulation to learn from.
+        """
+        return self.classifier.latent(boundary_named(self, outcome)).model
 
     def predict(self, X: Any) -> "DataFrame":
         """Predictions of the classifier.
@@ -430,10 +326,31 @@ class Run:
         """
         from activefail.findings.tables import designs_of, predictions_frame
 
-        designs, classifier = designs_of(self.campaign, X), self._predicting()
+        designs, classifier = designs_of(self.campaign, X), predicting(self)
         with one_thread_of_blas():
             # The table's own index: pandas joins columns by it.
             return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
+
+    def predict_table(
+        self, source: "Source | str", target: "Target | str", begin: Begin = uncounted, after: int | None = None
+    ) -> int:
+        """Write a CSV table of designs with predictions added (see `activefail.findings.tables`).
+
+        Args:
+            source: table of designs: a file, or a binary stream.
+            target: table to write: a file, or a text stream, which gets rows as they are computed.
+            begin: called with the number of rows once they are checked; returns a callback for finished rows.
+            after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
+
+        Returns:
+            Number of designs outside the design space, where the classifier extrapolates.
+        """
+        from activefail.findings.tables import predict_table
+
+        source, target = source_of("source", source), target_of("target", target)
+        classifier = predicting(self, after)
+        with one_thread_of_blas():
+            return predict_table(self.campaign, classifier, source, target, begin)
 
     def plot_boundary(self, x: str, y: str, at: Mapping[str, Any] | None = None, axes: Any = None) -> Any:
         """Draw the classifier's probability of the target outcome or worse over two variables, and the simulations.
@@ -499,65 +416,15 @@ class Run:
         axes.legend()
         return axes
 
-    def model(self, outcome: str | None = None) -> Any:
-        """The latent of a boundary as a BoTorch model.
+    # ------------------------------------------------------------------------------------------- analyses
 
-        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. It is the very
-        model of the loop: a GPyTorch variational GP of the outcomes, or of minus the warped margin that the boundary is
-        learned from, or a custom model (docs/classifier.md).
-
-        Args:
-            outcome: of the boundary; the (main) target if None.
-
-        Raises:
-            InputError: if the outcome has no boundary, or there is no simulation to learn from.
-        """
-        return self.classifier.latent(self._boundary_named(outcome)).model
-
-    def predict_table(
-        self,
-        source: "Source | str",
-        target: "Target | str",
-        begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None,
-        after: int | None = None,
-    ) -> int:
-        """Write a CSV table of designs with predictions added (see `activefail.findings.tables`).
-
-        Args:
-            source: table of designs: a file, or a binary stream.
-            target: table to write: a file, or a text stream, which gets rows as they are computed.
-            begin: called with the number of rows once they are checked; returns a callback for finished rows.
-            after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
-
-        Returns:
-            Number of designs outside the design space, where the classifier extrapolates.
-        """
-        from activefail.findings.tables import predict_table
-
-        source, target = source_of("source", source), target_of("target", target)
-        classifier = self._predicting(after)
-        with one_thread_of_blas():
-            return predict_table(self.campaign, classifier, source, target, begin)
-
-    def export_table(self, target: "Target | str") -> int:
-        """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
-        from activefail.findings.tables import export_table
-
-        return export_table(self.campaign, self.store, target_of("target", target))
-
-    def export_parquet(self, target: Path | str) -> int:
-        """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
-        from activefail.findings.tables import export_parquet
-
-        return export_parquet(self.campaign, self.store, path_of("target", target))
-
-    verify = method_of("verify", VerifyRequest)
-    probability = method_of("probability", ProbabilityRequest)
-    fragility = method_of("fragility", FragilityRequest)
-    design = method_of("design", DesignRequest)
-    sensitivity = method_of("sensitivity", SensitivityRequest)
-    compare = method_of("compare", CompareRequest)
-    report = method_of("report", ReportRequest)
+    verify = analyses.verify
+    probability = analyses.probability
+    fragility = analyses.fragility
+    design = analyses.design
+    sensitivity = analyses.sensitivity
+    compare = analyses.compare
+    report = analyses.report
 
     def asked(
         self,
@@ -575,105 +442,12 @@ class Run:
         """
         return Inquiry.of(self.campaign, None, question, fixed).question
 
-    def _boundary_named(self, outcome: str | None) -> str:
-        """The outcome of a boundary; that of the main target boundary if None.
-
-        Raises:
-            InputError: if no boundary has this outcome.
-        """
-        boundaries = self.campaign.simulator.outcomes[1:]
-        if outcome is not None and outcome not in boundaries:
-            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        return self.boundary if outcome is None else outcome
-
-    def _check_initial_design(self) -> None:
-        """Check that fresh simulations can be weighed by what was learned.
-
-        Raises:
-            InputError: if the initial design is not finished.
-        """
-        if not self.has_initial_design:
-            raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to estimate yet.")
-
-    @property
-    def has_initial_design(self) -> bool:
-        """Whether every design of the initial design was simulated or dropped.
-
-        Given simulations of the same designs are no sample of the design space: they may have been chosen.
-        """
-        return bool(self.history.initial.any()) and self._is_past_initial_design
-
-    @property
-    def _is_past_initial_design(self) -> bool:
-        """Whether later designs are those that the criterion chooses."""
-        handed_out = self.handed_out
-        waiting = (handed_out.in_flight.origin == INITIAL).any()
-        return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(self.campaign)))
-
-    def failure(self, stage: Callable[[str], None] = lambda _: None) -> "FailureFindings | None":
-        """What is known of the probability of failure and the most probable failure.
-
-        Returns:
-            None unless the campaign learned from a margin, seeks a probability, or estimated one.
-        """
-        from activefail.findings.failure import failure_findings
-
-        learned = self.learn(stage)
-        with one_thread():
-            return failure_findings(self.campaign, self.store, learned, stage)
-
-    def _shown_executor(self) -> "CountingExecutor":
-        """All cores of this machine, with a progress bar."""
-        return shown_executor(self._local_executor())
-
-    def _duration_of(self, simulations: int, workers: int) -> str:
-        """About how long simulations take by those in the record, as the end of a sentence; empty if none was timed."""
-        seconds = [one for batch in self.store.batches for one in batch.results.seconds.tolist() if one > 0.0]
-        if not seconds:
-            return ""
-        return f", {duration(sum(seconds) / len(seconds) * -(-simulations // workers))}"
-
-    def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
-        from activefail.execution.local import local_executor
-
-        self.campaign.check_simulates()
-        return local_executor(self.campaign.simulator, workers, self.campaign.time_limit)
-
-    def _repr_html_(self) -> str:
-        """The state of the campaign, for a notebook."""
-        return html_of(self.folder)
-
-    # ------------------------------------------------------------------------------------------- opening, closing
-
-    def close(self) -> None:
-        """Close the folder, so that another process can write to it."""
-        self.store.close()
-
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {self.history.asked_for} of {self.settings.sampling.budget} simulations)"
 
-    def __enter__(self) -> Self:
-        return self
+    def _repr_html_(self) -> str:
+        """The state of the campaign, for a notebook; a run of one's own that is open for writing is not running."""
+        from activefail.findings.status import read_status
 
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-
-def first_simulations(history: History, number: int) -> History:
-    """The first simulations of a record.
-
-    Raises:
-        InputError: if none of them has an outcome, or fewer are recorded.
-    """
-    check_whole("after", number, 1)
-    if not history.answered.any():
-        raise InputError(
-            f"after: none of the {len(history)} recorded simulations has an outcome, so there is nothing to learn "
-            f"from; got {number}."
-        )
-    if not history.leading_failures < number <= len(history):
-        raise InputError(
-            f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
-            f"the number of recorded simulations, got {number}."
-        )
-    return history[:number]
+        status = read_status(self.folder)
+        return replace(status, is_running=status.is_running and not self.writes)._repr_html_()

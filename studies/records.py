@@ -35,8 +35,8 @@ from activefail.bearing import (
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.intensity import Intensity
-from activefail.requests import ida
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, ladder
+from activefail.seismic.analyses import ida
 
 BEARINGS = {
     "3 s": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],

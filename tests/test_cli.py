@@ -35,7 +35,7 @@ from activefail.interrupts import stop_on_signals
 from activefail.loop.progress import Observer
 from activefail.loop.running import run as run_loop
 from activefail.record.run_folder import FolderStore
-from activefail.requests import estimating
+from activefail.session import estimating
 from activefail.shares import percent
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
@@ -265,6 +265,8 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         ([*design(), "--restitution", "elastic"], ["`restitution`", "pairwise, assembly", "'elastic'"]),
         ([*design(), "--tolerance", "1"], ["1e-12 <= relative <= 1e-2", "got 1.0"]),
         ([*design(), "--slider-diameter", "0"], ["`slider_diameter > 0` must hold, got 0.0"]),
+        ([*design(), "--slider-diameter", "5"], ["`slider_diameter < 5` must hold, got 5.0"]),
+        ([*design(), "--friction-velocity", "0.2"], ["`friction_velocity <= 0.1` must hold, got 0.2"]),
         ([*design(), "--friction-velocity", "-1"], ["`friction_velocity > 0` must hold, got -1.0"]),
         ([*design(), "--rim", "breaking"], ['rim = "breaking" requires `rim_strength`']),
         ([*design(), "--rim-strength", "0.8"], ['rim = "rigid" cannot be combined with `rim_strength`, got 0.8']),
@@ -998,7 +1000,7 @@ def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_
 def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 100)
     words = ("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    with holding("activefail.findings.tables:simulate", *words) as running:
+    with holding("activefail.seismic.tables:simulate", *words) as running:
         process = running.process
         running.wait()
         assert len(os.listdir(tmp_path)) == 2

@@ -432,8 +432,9 @@ def test_all_rows_that_break_a_rule_are_named_at_once_and_the_others_can_be_kept
             InputError, match=r"(?s)2 rows .*row 1: id 0 has the result .*row 3|2 rows .*id 77 is unknown"
         ):
             run.tell(told)
-        with pytest.warns(UserWarning, match="2 rows are skipped"):
+        with pytest.warns(UserWarning, match="2 rows are skipped") as caught:
             assert run.tell(told, skip_invalid=True) == 2
+        assert {one.filename for one in caught} == {__file__}  # the line that told them
         # The rows of `old.csv` have labels.
         assert run.simulations["note"].tolist()[:3] == ["0", "2", "4"]
 
@@ -892,6 +893,9 @@ def test_a_run_is_created_from_a_dictionary(tmp_path: Path) -> None:
             run.tell(designs.assign(outcome=np.where(designs["x"] + designs["y"] > 1.3, "failure", "safe")))
         assert run.predict([{"x": 0.9, "y": 0.9}])["p_failure"].iloc[0] > 0.8
         assert "20 of 20 simulations" in run._repr_html_()
+        assert "has the folder open" not in run._repr_html_()
+        with af.open_run(tmp_path / "run") as reader:
+            assert "has the folder open" in reader._repr_html_()
     with pytest.raises(InputError, match=r"settings:\n  space\.x"):
         af.create_run(tmp_path / "other", settings | {"space": {"x": {"low": 1.0, "high": 0.0}}})
 

@@ -1,14 +1,15 @@
-"""The commands of the analyses, made from their requests: parse, ask, print."""
+"""The commands of the analyses, made from their declarations: parse, ask, print."""
 
 import inspect
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
+from activefail.analysis import REQUIRED, Option, declared, option
 from activefail.cli.common import (
     STANDARD,
     AsJson,
@@ -28,7 +29,6 @@ from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.progress import uncounted
-from activefail.request import Option, Request, options
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -39,34 +39,38 @@ if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
 
 
-def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
-    """The command that asks a request of a run folder and prints the findings."""
+def command_of(function: Callable[..., Any]) -> dict[Callable[..., None], str]:
+    """The command of an analysis, with its example: it opens the run folder, asks, prints and writes the findings."""
+    asks = declared(function)
+    # It is an option of an analysis that has an answer without it.
+    folder_option = asks.options.get("run")
 
-    def command(
-        context: typer.Context, folder: Path | None, as_json: bool, code: Path | None = None, **words: Any
-    ) -> None:
-        csv, out = words.pop("csv", None), words.pop("out", None)
+    def command(context: typer.Context, as_json: bool, code: Path | None = None, **words: Any) -> None:
+        folder, csv, out = words.pop("run"), words.pop("csv", None), words.pop("out", None)
         check_out(out)
         check_table("--csv", csv)
         if as_json and csv in STANDARD:
             raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
         given = {word for word in words if getattr(context.get_parameter_source(word), "name", "") != "DEFAULT"}
-        values = {one.name: _value(one.name, words, of, out, one.name in given) for one, of in options(request)}
-        run_or_none = (
-            nullcontext() if folder is None else opened_run(folder, write=request.is_written(words), code=code)
-        )
-        with run_or_none as run:
-            with progress_bar(request.counts) if request.counts else nullcontext(uncounted) as begin:
-                asked = request(**values, begin=begin, stage=show_stage)
-                findings = asked.answer(run)
+        values = {
+            name: _value(name, words, of, out, name in given)
+            for name, of in asks.options.items()
+            if name != "run" and (of.with_out or given & set(of.parts or (name,)))
+        }
+        asks.check(values, in_words=True)
+        writes = asks.writes(words) if callable(asks.writes) else asks.writes
+        with nullcontext() if folder is None else opened_run(folder, write=writes, code=code) as run:
+            with progress_bar(asks.counts) if asks.counts else nullcontext(uncounted) as begin:
+                heard = {name: one for name, one in {"stage": show_stage, "begin": begin}.items() if name in takes}
+                findings = function(run=run, **values, **heard)
             summary = None if run is None else run.summary
         if csv is not None:
             with table_output("--csv", csv) as target:
-                asked.write_table(findings, target)
+                findings.write_table(target)
         written = []
         if out is not None:
             with writing_to(out):
-                written = asked.write_pages(findings, run, out)
+                written = asks.write_pages(findings, run, out)
         if summary is not None:
             show_unseen(summary)
         if as_json:
@@ -80,42 +84,36 @@ def command_of(name: str, request: type[Request[Any]]) -> Callable[..., None]:
         if findings.exit_code:
             raise typer.Exit(findings.exit_code)
 
-    command.__name__, command.__doc__ = name, request.__doc__
-    sign(command, _parameters(request))
-    return command
+    takes = inspect.signature(function).parameters
+    parameters: Parameters = {"context": (typer.Context, inspect.Parameter.empty)}
+    parameters |= {} if folder_option else {"run": (RunFolder, inspect.Parameter.empty)}
+    for name, of in asks.options.items():
+        # `--out` names the folder.
+        if not (of.with_out and of.kind is Path):
+            parameters |= parameters_of(name, of)
+    parameters["as_json"] = AsJson, False
+    for name, help in (("csv", asks.table), ("out", asks.pages)):
+        if help:
+            parameters |= parameters_of(name, Option(None, help, Path))
+    command.__name__, command.__doc__ = function.__name__, asks.doc
+    sign(command, parameters | {"code": (Code, None)})
+    return {command: asks.example}
 
 
 def _value(name: str, words: dict[str, Any], of: Option, out: Path | None, is_given: bool) -> Any:
-    """The value of an option, from the words on the command line; None if an option of one way is not given."""
+    """The value of an option, from the words on the command line."""
     if of.parts:
         return of.value(words)
     if of.with_out and of.kind is Path:
         return out
     word = words[name]
-    if of.with_out and word and is_given and out is None:
-        raise InputError(f"--{name}: requires --out.")
-    if of.is_of_one_way and not is_given:
-        return (of.with_out and out is not None and words[of.bars] is None) or None
+    if of.with_out:  # on with --out, unless another option bars it
+        if word and is_given and out is None:
+            raise InputError(f"--{name}: requires --out.")
+        return word and out is not None and (is_given or words[of.bars] is None)
     if of.parse is None:
         return word
     return of.default if word is None else of.parse(word)
-
-
-def _parameters(request: type[Request[Any]]) -> Parameters:
-    """The parameters of the command of a request."""
-    parameters: Parameters = {"context": (typer.Context, inspect.Parameter.empty)}
-    parameters |= {} if request.of_run else {"folder": (RunFolder, inspect.Parameter.empty)}
-    for one, of in options(request):
-        # `--out` names the folder.
-        if not (of.with_out and of.kind is Path):
-            parameters |= parameters_of(one.name, of)
-    if request.of_run is not None:
-        parameters |= parameters_of("folder", request.of_run)
-    parameters["as_json"] = AsJson, False
-    for name, help in (("csv", request.table), ("out", request.pages)):
-        if help:
-            parameters |= parameters_of(name, Option(help, Path))
-    return parameters | {"code": (Code, None)}
 
 
 def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = "") -> "Site":
@@ -123,11 +121,12 @@ def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = ""
     from activefail.explorer.campaign import Slow
     from activefail.explorer.site import CampaignSite
     from activefail.findings.results import findings_of
+    from activefail.session import predicting
     from activefail.surrogate.threads import one_thread_from_now_on
 
     with opened_run(folder, code=code) as opened:
         # What is shown at first needs predictions alone.
-        classifier = cast("Classifier", opened._predicting())
+        classifier = cast("Classifier", predicting(opened))
         findings = findings_of(opened.folder, opened.campaign, opened.store, classifier)
         show_unseen(opened.summary)
 
@@ -145,17 +144,12 @@ def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = ""
 
 
 def explore(
-    folder: Annotated[
-        Path,
-        typer.Argument(help="Run folder of a campaign, or a folder of run folders.", metavar="DIR", show_default=False),
-    ],
-    host: Annotated[
-        str, typer.Option(help="Address to listen on; visitors from other machines always need the token.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
-    no_token: Annotated[
-        bool, typer.Option("--no-token", help="Let every user of this machine read the page without the token.")
-    ] = False,
+    folder: Path = option(
+        REQUIRED, "Run folder of a campaign, or a folder of run folders.", Path, is_argument=True, metavar="DIR"
+    ),
+    host: str = option("127.0.0.1", "Address to listen on; visitors from other machines always need the token."),
+    port: int = option(8050, "Port; 0 for a free one.", low=0, high=65535),
+    no_token: bool = option(False, "Let every user of this machine read the page without the token."),
     code: Code = None,
 ) -> None:
     """Serve an interactive page of a campaign, or of all campaigns in a folder of run folders.

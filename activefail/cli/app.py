@@ -1,15 +1,12 @@
 """The application: its entry point and its error handling."""
 
 import errno
-import inspect
 import io
 import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
-from functools import wraps
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
@@ -115,7 +112,16 @@ def _end(message: str, code: int) -> NoReturn:
 
 
 class Command(TyperCommand):
-    """A command whose option errors include the invalid value."""
+    """A command whose option errors include the invalid value, and that Ctrl-C ends with a message and code 130."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command as `TyperCommand` does; Ctrl-C may be handled by the command itself."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            kept = stop.args[0] if stop.args else "recorded simulations are safe"
+            print(f"activefail: stopped; {kept}", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse arguments as `TyperCommand` does."""
@@ -141,42 +147,8 @@ def _with_value(fault: typer.BadParameter) -> str:
     return f"{rule}, got {error['input']!r}"
 
 
-def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a command so that Ctrl-C, unless the command handles it, ends it with a message and exit code 130."""
-
-    @wraps(command)
-    def wrapper(*arguments: Any, **options: Any) -> None:
-        try:
-            command(*arguments, **options)
-        except KeyboardInterrupt as stop:
-            kept = stop.args[0] if stop.args else "recorded simulations are safe"
-            print(f"activefail: stopped; {kept}", file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
-
-    return wrapper
-
-
-def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a command so that it has the options -q and -v. What is shown depends on the level of the log alone."""
-
-    @wraps(command)
-    def wrapper(*arguments: Any, quiet: bool, verbose: bool, **options: Any) -> None:
-        _set_level(quiet, verbose)
-        command(*arguments, **options)
-
-    added = {"quiet": Quiet, "verbose": Verbose}
-    # Typer reads the options from the signature.
-    signature = inspect.signature(command)
-    options = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
-        for name, kind in added.items()
-    ]
-    wrapper.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]
-    wrapper.__annotations__ = command.__annotations__ | added
-    return wrapper
-
-
-def _set_level(quiet: bool, verbose: bool) -> None:
+def set_level(quiet: bool, verbose: bool) -> None:
+    """What is shown depends on the level of the log alone, which the options -q and -v set."""
     if quiet or verbose:
         logging.getLogger("activefail").setLevel(logging.DEBUG if verbose else logging.WARNING)
 
@@ -213,4 +185,4 @@ def _common(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    _set_level(quiet, verbose)
+    set_level(quiet, verbose)

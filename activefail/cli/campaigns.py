@@ -3,10 +3,12 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from activefail.analyses import EXECUTOR, SCHEDULER, WORKERS
+from activefail.analysis import REQUIRED, option
 from activefail.arguments import executor_named
 from activefail.cli.common import (
     STANDARD,
@@ -24,31 +26,29 @@ from activefail.cli.common import (
     table_input,
     table_output,
 )
-from activefail.cli.options import with_options
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
-from activefail.requests import EXECUTOR, SCHEDULER, WORKERS
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.run import Run
 
+TO_CREATE: Any = option(REQUIRED, "Run folder to create.", Path)
+SEED: Any = option(None, "Random seed; overrides the file's.", int)
+BUDGET: Any = option(None, "Number of simulations; overrides the file's.", int)
 
-@with_options(workers=WORKERS, executor=EXECUTOR, scheduler=SCHEDULER)
+
 def run(
     campaign: CampaignFile,
-    out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
-    seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
-    budget: Annotated[
-        int | None, typer.Option(help="Number of simulations; overrides the file's.", show_default=False)
-    ] = None,
-    *,
-    workers: int | None,
-    executor: str,
-    scheduler: str | None,
+    out: Path = TO_CREATE,
+    seed: int | None = SEED,
+    budget: int | None = BUDGET,
+    workers: int | None = WORKERS,
+    executor: str = EXECUTOR,
+    scheduler: str | None = SCHEDULER,
 ) -> None:
     """Run a new campaign."""
     from activefail.opening import campaign_for, create_run
@@ -64,10 +64,7 @@ def run(
 
 
 def campaigns(
-    copy: Annotated[
-        Path | None,
-        typer.Option(help="Copy the campaigns, with their code and hazards, into this new folder.", show_default=False),
-    ] = None,
+    copy: Path | None = option(None, "Copy the campaigns, with their code and hazards, into this new folder.", Path),
 ) -> None:
     """List the campaigns that come with activefail, or copy them.
 
@@ -83,28 +80,16 @@ def campaigns(
         print(f"{name:<10} {visible(description_of(file))}")
 
 
-@with_options(workers=WORKERS, executor=EXECUTOR, scheduler=SCHEDULER)
 def resume(
     folder: RunFolder,
-    budget: Annotated[
-        int | None, typer.Option(help="Total number of simulations; overrides the campaign's.", show_default=False)
-    ] = None,
-    *,
-    workers: int | None,
-    executor: str,
-    scheduler: str | None,
-    numerical_failures: Annotated[
-        float | None,
-        typer.Option(
-            help="Largest accepted share of numerical failures; overrides the campaign's.",
-            min=0.0,
-            max=1.0,
-            show_default=False,
-        ),
-    ] = None,
-    ignore_stop: Annotated[
-        bool, typer.Option("--ignore-stop", help="Continue even if the stop rule is already met.")
-    ] = False,
+    budget: int | None = option(None, "Total number of simulations; overrides the campaign's.", int),
+    workers: int | None = WORKERS,
+    executor: str = EXECUTOR,
+    scheduler: str | None = SCHEDULER,
+    numerical_failures: float | None = option(
+        None, "Largest accepted share of numerical failures; overrides the campaign's.", float, low=0.0, high=1.0
+    ),
+    ignore_stop: bool = option(False, "Continue even if the stop rule is already met."),
     code: Code = None,
 ) -> None:
     """Continue a campaign after an interruption, or extend it."""
@@ -182,14 +167,9 @@ def status(folder: RunFolder, as_json: AsJson = False) -> None:
 
 def predict(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of designs; - is standard input.", show_default=False)],
-    out: Annotated[
-        Path, typer.Option(help="Table to write, with probabilities; - is standard output.", show_default=False)
-    ],
-    after: Annotated[
-        int | None,
-        typer.Option(help="Learn only from the first N recorded simulations.", metavar="N", show_default=False),
-    ] = None,
+    csv: Path = option(REQUIRED, "Table of designs; - is standard input.", Path),
+    out: Path = option(REQUIRED, "Table to write, with probabilities; - is standard output.", Path),
+    after: int | None = option(None, "Learn only from the first N recorded simulations.", int, metavar="N"),
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs by the classifier."""
@@ -204,10 +184,8 @@ def predict(
 
 def export(
     folder: RunFolder,
-    csv: Annotated[Path | None, typer.Option(help="CSV table to write; - is standard output.", show_default=False)] = (
-        None
-    ),
-    parquet: Annotated[Path | None, typer.Option(help="Parquet file to write.", show_default=False)] = None,
+    csv: Path | None = option(None, "CSV table to write; - is standard output.", Path),
+    parquet: Path | None = option(None, "Parquet file to write.", Path),
     code: Code = None,
 ) -> None:
     """Write every simulation of a campaign to a table."""

@@ -18,6 +18,7 @@ from activefail.screen import table_stream
 from activefail.visible import visible
 
 if TYPE_CHECKING:
+    from activefail.analysis import Findings
     from activefail.csv_table import Target
     from activefail.findings.summary import Summary
     from activefail.run import Run
@@ -139,6 +140,14 @@ def opened_run(
 def print_json(values: Mapping[str, object]) -> None:
     """Print figures as JSON."""
     print(json_text(values))
+
+
+def show_findings(findings: "Findings", as_json: bool) -> None:
+    """Print findings as lines or as JSON."""
+    if as_json:
+        print_json(findings.as_json())
+    else:
+        print("\n".join(map(visible, findings.lines)))
 
 
 def show_stage(text: str) -> None:

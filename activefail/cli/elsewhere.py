@@ -3,10 +3,10 @@
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
-
+from activefail.analysis import REQUIRED, option
+from activefail.cli.campaigns import BUDGET, SEED, TO_CREATE
 from activefail.cli.common import (
     STANDARD,
     CampaignFile,
@@ -30,26 +30,21 @@ if TYPE_CHECKING:
 
     from activefail.run import Run
 
-Names = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--map",
-        help='What the table has in place of a name, such as "load=Load [N]/1000", "T=T_C + 273.15" (with blanks) or '
-        '"failure=collapsed", or a TOML file with such lines; repeatable.',
-        show_default=False,
-    ),
-]
-SkipInvalid = Annotated[bool, typer.Option("--skip-invalid", help="Leave out rows that break a rule, and name them.")]
-Designs = Annotated[int, typer.Option("--n", help="Number of designs.", min=1, max=100_000)]
+NAMES: Any = option(
+    None,
+    'What the table has in place of a name, such as "load=Load [N]/1000", "T=T_C + 273.15" (with blanks) or '
+    '"failure=collapsed", or a TOML file with such lines; repeatable.',
+    list[str],
+    names=("--map",),
+)
+SKIP_INVALID: Any = option(False, "Leave out rows that break a rule, and name them.")
 
 
 def create(
     campaign: CampaignFile,
-    out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
-    seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
-    budget: Annotated[
-        int | None, typer.Option(help="Number of simulations; overrides the file's.", show_default=False)
-    ] = None,
+    out: Path = TO_CREATE,
+    seed: int | None = SEED,
+    budget: int | None = BUDGET,
 ) -> None:
     """Create a run folder without simulating anything."""
     from activefail.campaign.continuing import ask_command, continue_command
@@ -67,15 +62,11 @@ def create(
 
 def ask(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of designs to write; - is standard output.", show_default=False)],
-    n: Designs = 1,
-    in_flight: Annotated[
-        bool, typer.Option("--in-flight", help="Write the designs in flight again; hand out no others.")
-    ] = False,
-    beyond: Annotated[bool, typer.Option("--beyond", help="Hand out designs beyond the budget.")] = False,
-    ignore_stop: Annotated[
-        bool, typer.Option("--ignore-stop", help="Hand out designs even if the stop rule is met.")
-    ] = False,
+    csv: Path = option(REQUIRED, "Table of designs to write; - is standard output.", Path),
+    n: int = option(1, "Number of designs.", names=("--n",), low=1, high=100_000),
+    in_flight: bool = option(False, "Write the designs in flight again; hand out no others."),
+    beyond: bool = option(False, "Hand out designs beyond the budget."),
+    ignore_stop: bool = option(False, "Hand out designs even if the stop rule is met."),
     code: Code = None,
 ) -> None:
     """Hand out designs to be simulated elsewhere."""
@@ -163,17 +154,11 @@ def _numbers(table: "DataFrame") -> str:
 
 def tell(
     folder: RunFolder,
-    csv: Annotated[
-        Path, typer.Option(help="Table of results, with the column id; - is standard input.", show_default=False)
-    ],
-    correct: Annotated[
-        bool, typer.Option("--correct", help="Replace recorded results that were wrong; the former ones are kept.")
-    ] = False,
-    changed: Annotated[
-        bool, typer.Option("--changed", help="Record the designs in the table, such as rounded ones, as simulated.")
-    ] = False,
-    names: Names = None,
-    skip_invalid: SkipInvalid = False,
+    csv: Path = option(REQUIRED, "Table of results, with the column id; - is standard input.", Path),
+    correct: bool = option(False, "Replace recorded results that were wrong; the former ones are kept."),
+    changed: bool = option(False, "Record the designs in the table, such as rounded ones, as simulated."),
+    names: list[str] | None = NAMES,
+    skip_invalid: bool = SKIP_INVALID,
     code: Code = None,
 ) -> None:
     """Record the results of designs that were handed out."""
@@ -229,7 +214,7 @@ def _show_corrections(run: "Run", number: int) -> None:
 
 def drop(
     folder: RunFolder,
-    ids: Annotated[str, typer.Option(help="Ids of designs in flight, separated by commas.", show_default=False)],
+    ids: str = option(REQUIRED, "Ids of designs in flight, separated by commas."),
     code: Code = None,
 ) -> None:
     """Give up designs in flight; they are not proposed again."""
@@ -248,14 +233,12 @@ def _id(text: str) -> int:
 
 def add(
     folder: RunFolder,
-    csv: Annotated[
-        Path, typer.Option(help="Table of simulations, with all variables; - is standard input.", show_default=False)
-    ],
-    names: Names = None,
-    skip_invalid: SkipInvalid = False,
-    outside: Annotated[
-        Literal["refuse", "keep"], typer.Option(help="What to do with designs outside the design space.")
-    ] = "refuse",
+    csv: Path = option(REQUIRED, "Table of simulations, with all variables; - is standard input.", Path),
+    names: list[str] | None = NAMES,
+    skip_invalid: bool = SKIP_INVALID,
+    outside: Literal["refuse", "keep"] = option(
+        "refuse", "What to do with designs outside the design space.", Literal["refuse", "keep"]
+    ),
     code: Code = None,
 ) -> None:
     """Record simulations that `ask` did not hand out."""

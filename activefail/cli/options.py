@@ -1,4 +1,4 @@
-"""Options of the command line from the declarations of requests."""
+"""Options of the command line from declared ones."""
 
 import inspect
 from collections.abc import Callable
@@ -7,31 +7,30 @@ from typing import Annotated, Any
 
 import typer
 
-from activefail.request import REQUIRED, Option
+from activefail.analysis import REQUIRED, Option
+from activefail.cli.app import Quiet, Verbose, set_level
 
 Parameters = dict[str, tuple[Any, Any]]
 """The parameters of a command by name: annotation and default, from which typer makes its options."""
 
 
-def with_options(**declared: Option) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare parameters of a command; one with parts gets the object that these make."""
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command that typer can read, with -q and -v, of one whose defaults may be options, or what their parts make."""
+    own = inspect.signature(command).parameters
+    objects = {name: one.default for name, one in own.items() if isinstance(one.default, Option) and one.default.parts}
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(command).parameters
+    @wraps(command)
+    def wrapper(quiet: bool, verbose: bool, **words: Any) -> None:
+        set_level(quiet, verbose)
+        made = {name: of.value(words) for name, of in objects.items()}
+        command(**{name: made[name] if name in made else words[name] for name in own})
 
-        @wraps(command)
-        def wrapper(**words: Any) -> None:
-            objects = {name: of.value(words) for name, of in declared.items() if of.parts}
-            command(**{name: objects[name] if name in objects else words[name] for name in own})
-
-        parameters: Parameters = {}
-        for name, one in own.items():
-            of = declared.get(name)
-            parameters |= {name: (one.annotation, one.default)} if of is None else parameters_of(name, of)
-        sign(wrapper, parameters)
-        return wrapper
-
-    return decorate
+    parameters: Parameters = {}
+    for name, one in own.items():
+        of = one.default
+        parameters |= parameters_of(name, of) if isinstance(of, Option) else {name: (one.annotation, of)}
+    sign(wrapper, parameters | {"quiet": (Quiet, False), "verbose": (Verbose, False)})
+    return wrapper
 
 
 def parameters_of(name: str, of: Option) -> Parameters:
@@ -41,10 +40,12 @@ def parameters_of(name: str, of: Option) -> Parameters:
     required = of.default is REQUIRED
     default = None if of.parse is not None or required else of.with_out or of.default
     kind = of.kind if required or default is not None else of.kind | None
+    # A flag that is off has no opposite.
+    names = of.names or ((f"--{name.replace('_', '-')}",) if default is False else ())
     make: Any = typer.Argument if of.is_argument else typer.Option
-    has_default = default not in (None, "")
-    shown = make(*of.names, help=of.help, min=of.low, max=of.high, metavar=of.metavar, show_default=has_default)
-    return {name: (Annotated[kind, shown], inspect.Parameter.empty if required else default)}
+    help = f"{of.help[:-1]}, with --out." if of.with_out else of.help
+    shown = make(*names, help=help, min=of.low, max=of.high, metavar=of.metavar, show_default=default not in (None, ""))
+    return {name: (Annotated[kind, shown], REQUIRED if required else default)}
 
 
 def sign(command: Any, parameters: Parameters) -> None:

@@ -1,17 +1,19 @@
 """The pulses of a hazard with the boundary of a campaign's design space, and the hazard curve."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.bearing.pulse import velocity_of
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD
 from activefail.figures.axes import plain_log
-from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, styled
+from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, save_png_and_svg, styled
 from activefail.risk.hazard_summary import HazardSummary
 from activefail.space import Array, DesignSpace
 
@@ -20,6 +22,12 @@ _CONTOURS = (0.5, 0.9, 0.99)
 
 _EDGE = 200
 """Points along each side of the design space."""
+
+
+def write_hazard(summary: HazardSummary, folder: Path, campaign: Campaign | None = None) -> list[Path]:
+    """Write the figure into a folder as PNG and SVG; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return save_png_and_svg(plot_hazard(summary, None if campaign is None else campaign.space), folder, "hazard")
 
 
 @styled()

@@ -14,7 +14,7 @@ from activefail.loop.history import History
 from activefail.reliability.estimate import ModeShare, ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import alike, interval_percent, percent, significant
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.interface import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin_choice import OUTCOMES

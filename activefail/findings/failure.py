@@ -1,7 +1,6 @@
 """What the classifier says of a failure that may be rare: its probability against simulations, and its most probable
 design."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,15 +12,18 @@ from activefail.findings.estimates import ProbabilityFindings, bound_without_mod
 from activefail.loop.history import History
 from activefail.loop.initial import initial_size
 from activefail.loop.learning import Learned, learn_from
+from activefail.progress import Stage, silent
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.reliability.integral import BoundariesOf, boundary_of, integrate
 from activefail.reliability.model_probability import model_probability
+from activefail.session import Session
 from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.system import ByMargins
+from activefail.surrogate.threads import one_thread
 from activefail.verification.probability_estimator import Estimator
 from activefail.verification.scores import learning_curve
 
@@ -71,17 +73,19 @@ class FailureFindings:
         return min(self.best, 1.0 - self.best) < RARE
 
 
-def failure_findings(
-    campaign: Campaign, store: Store, learned: Learned, stage: Callable[[str], None] = lambda _: None
-) -> FailureFindings | None:
+def failure_findings(run: Session, stage: Stage = silent) -> FailureFindings | None:
     """The findings; None unless the campaign learned from a margin, seeks a probability, or estimated one.
 
     Args:
-        campaign: the campaign.
-        store: its record.
-        learned: from all simulations.
+        run: the run folder.
         stage: called with each stage of the work.
     """
+    learned = run.learn(stage)
+    with one_thread():
+        return _failure_findings(run.campaign, run.store, learned, stage)
+
+
+def _failure_findings(campaign: Campaign, store: Store, learned: Learned, stage: Stage) -> FailureFindings | None:
     history, outcome = History.of(store.batches), campaign.settings.acquisition.main_boundary
     classifier, latent = learned.classifier, learned.classifier.latent(outcome)
     stage("reading the estimate of the probability")

@@ -8,13 +8,15 @@ import numpy as np
 
 from activefail.numerals import counted
 from activefail.shares import percent
-from activefail.verification.scores import verified_in_words
+from activefail.surrogate.threads import one_thread_of_blas
+from activefail.verification.scores import last_error, verified_in_words
 from activefail.visible import margin_in_words, visible, words
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
     from activefail.campaign.settings import CampaignSettings
     from activefail.loop.history import History
+    from activefail.session import Session
     from activefail.surrogate.classifier import Classifier
     from activefail.surrogate.saved import SavedClassifier
 
@@ -103,31 +105,30 @@ def source_in_words(name: str) -> str:
     return margin_in_words(name) if name.isidentifier() else f"the system {visible(name)}"
 
 
-def known_in_words(
-    campaign: "Campaign",
-    history: "History",
-    classifier: "Classifier | SavedClassifier",
-    error: Mapping[str, Any] | None,
-) -> str:
-    """How many results a classifier learned from, and what is known of its error.
+def known_in_words(run: "Session", after: int | None = None) -> str:
+    """How many results the classifier that predicts has learned from, and what is known of its error.
 
     Args:
-        campaign, history, classifier: the campaign, the simulations that were learned from, and their classifier.
-        error: verified, as `verification.scores.last_error`; None without one.
+        run: the run folder.
+        after: number of simulations to learn from, the first ones (see `Session.classifier_after`); all if None.
     """
+    from activefail.session import predicting
     from activefail.verification.error import expected_error
 
+    campaign, history = run.campaign, run.history[:after]
     counts = history.counts(len(campaign.simulator.outcomes)).tolist()
     seen = ", ".join(f"{n} {name}" for n, name in zip(counts, campaign.simulator.outcomes, strict=True))
     text = f"learned from {counted(sum(counts), 'result')} ({visible(seen)})"
     settings = campaign.settings
     if not settings.is_repeatable:
-        return ". ".join([text, *noise_notes(classifier)]).removesuffix(".")
+        return ". ".join([text, *noise_notes(predicting(run, after))]).removesuffix(".")
+    error = last_error(run.store, campaign.learner_code) if len(history) == len(run.history) else None
     if error is not None:
         return f"{text}; verified error {verified_in_words(error)}"
     if settings.probability_rule is not None or not all(counts):
         return text  # The classifier's own error is tiny where an outcome is rare, and misses what was never seen.
-    expected = percent(expected_error(campaign, classifier), 2)
+    with one_thread_of_blas():
+        expected = percent(expected_error(campaign, predicting(run, after)), 2)
     return f"{text}; expected error {expected} of the design space by its own probabilities, without an interval"
 
 

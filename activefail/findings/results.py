@@ -11,7 +11,6 @@ from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
-from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -189,7 +188,7 @@ def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
     F = campaign.features(findings.X)
     at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
     name = words(campaign.simulator.outcomes[severity])
-    thing = "bearing" if isinstance(campaign.simulator, DfpSimulator) else "design"
+    thing = getattr(campaign.simulator, "noun", "design")
     chosen: list[tuple[int, str]] = []
     beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
     if len(beyond):

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,14 @@ class Status:
         lines = [(title, self._learner if title == "learner" else text) for title, text in self.summary.lines]
         state = self.state + ": a process has the folder open for writing" * self.is_running
         return [("campaign", campaign), ("state", state), *self.estimate, *lines, *self.learned]
+
+    def _repr_html_(self) -> str:
+        """The state as a table, for a notebook."""
+        lines = [*self.lines, ("warning", self.summary.unseen_warning), *self.continuation]
+        rows = "".join(
+            f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
+        )
+        return f"<table><caption>{escape(visible(str(self.folder)))}</caption>{rows}</table>"
 
     def as_json(self) -> dict[str, Any]:
         """The state as JSON values; `docs/reference/json.md` describes the keys."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from activefail.shares import percent
 from activefail.space import Array
 from activefail.verification.confidence_bounds import unseen_outcomes, upper_bound
 from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.session import Session
 
 _IDS_SHOWN = 20
 """Most ids of designs in flight that `status` lists."""
@@ -194,6 +197,11 @@ class Summary:
             f"All margins {visible(self.flag)} are 0 or 1, like a flag. A margin at its level or below fails, so 0 is "
             "not safety; return the outcome in place of a flag."
         )
+
+    @classmethod
+    def of_run(cls, run: "Session", history: History | None = None) -> Self:
+        """The summary of an open run folder, or of its first simulations."""
+        return cls.of(run.settings, run.campaign.schema, run.history if history is None else history, run.store.asked)
 
     @classmethod
     def of(cls, settings: CampaignSettings, schema: Schema, history: History, asked: Asked, corrected: int = 0) -> Self:

@@ -1,4 +1,4 @@
-"""Tables of designs and simulations: DataFrames, CSV tables to simulate, predict and export, and a Parquet file."""
+"""Tables of designs and simulations: DataFrames, CSV tables to predict and export, and a Parquet file."""
 
 import importlib
 import warnings
@@ -9,15 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activefail.bearing import outcome as o
-from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
-from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import Check, DesignTable, Source, Table, Target, rereadable, writing
 from activefail.errors import InputError, TableWarning
 from activefail.files import replacing, target_of, writing_to
 from activefail.loop.history import History
-from activefail.parameter import LARGEST
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
 from activefail.record.labels import labels_of
@@ -190,61 +186,6 @@ def _is_plain(row: object) -> bool:
     return isinstance(row, np.ndarray | Number | str) or (isinstance(row, list | tuple) and not hasattr(row, "_fields"))
 
 
-def check_bearing(model: Model) -> Check:
-    """A check for `DesignTable.checked` that a design of Table 1's variables is a feasible bearing."""
-
-    def check(design: Array) -> str | None:
-        for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
-            if not 0.0 < value <= LARGEST:
-                return f"column {name}: `0 < {name} <= {LARGEST:g}` must hold, got {value:g}"
-        try:
-            Bearing.from_row(design.tolist(), model.slider_diameter)
-            Pulse.from_table(*design[7:].tolist())
-        except InputError as error:
-            # With every value in range, only the geometry can be infeasible; it depends on these columns.
-            return f"columns {', '.join(TABLE_1.names[:5])}: {error}".rstrip(".")
-        return None
-
-    return check
-
-
-def simulate_table(
-    source: Source,
-    target: Target,
-    model: Model,
-    tolerance: Tolerance,
-    begin: Callable[[int], Advance] = lambda _: lambda _: None,
-) -> dict[str, int]:
-    """Simulate every design of a CSV table and write the table with outcome, cause and margins added.
-
-    Args:
-        source: table of designs.
-        target: table to write; a stream gets rows as they are computed.
-        model: bearing model.
-        tolerance: of the integration.
-        begin: called with the number of rows once they are checked; returns a callback for finished rows.
-
-    Returns:
-        Counts by outcome.
-
-    Raises:
-        InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
-    """
-    counts = dict.fromkeys(o.OUTCOME_NAMES, 0)
-
-    def simulated(X: Array, advance: Advance) -> list[list[Any]]:
-        results = simulate(X, model, tolerance, progress=advance)
-        outcomes, columns = results.outcome_name.tolist(), results.columns.tolist()
-        for outcome in outcomes:
-            counts[outcome] += 1
-        rows = zip(outcomes, results.cause_name.tolist(), columns, strict=True)
-        return [[outcome, cause, *map(_cell, values)] for outcome, cause, values in rows]
-
-    added = ("outcome", "cause", *o.COLUMNS)
-    _extend(source, target, TABLE_1, added, check_bearing(model), simulated, begin)
-    return counts
-
-
 def predict_table(
     campaign: Campaign,
     classifier: "Classifier | SavedClassifier",
@@ -277,15 +218,15 @@ def predict_table(
         first = np.concatenate([first, X[is_outside]])[:1]
         columns = _predicted_values(campaign, classifier, X)
         advance(len(X))
-        return [list(map(_cell, row)) for row in zip(*columns, strict=True)]
+        return [list(map(cell_of, row)) for row in zip(*columns, strict=True)]
 
-    _extend(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
+    extend_table(source, target, space, predicted_columns(classifier.outcomes), check, predicted, begin)
     if outside:
         warnings.warn(outside_in_words(space, outside, first[0]), TableWarning, stacklevel=3)
     return outside
 
 
-def _extend(
+def extend_table(
     source: Source,
     target: Target,
     space: DesignSpace,
@@ -312,7 +253,7 @@ def _extend(
                 write([[*text, *new] for text, new in zip(texts, cells(X, advance), strict=True)])
 
 
-def _cell(value: Any) -> Any:
+def cell_of(value: Any) -> Any:
     """A value of a CSV table: empty if it is NaN, which differs from itself."""
     return "" if value != value else value
 
@@ -321,7 +262,7 @@ def export_table(campaign: Campaign, store: Store, target: Target) -> int:
     """Write every simulation of a campaign as a row of a CSV table (see `simulations_frame`); returns their number."""
     frame = simulations_frame(campaign, store)
     with writing(target, list(frame)) as write:
-        write([list(map(_cell, row)) for row in zip(*(frame[name].tolist() for name in frame), strict=True)])
+        write([list(map(cell_of, row)) for row in zip(*(frame[name].tolist() for name in frame), strict=True)])
     return len(frame)
 
 

@@ -19,15 +19,14 @@ from threadpoolctl import threadpool_limits
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
 from activefail.comparison.measures import expected_calibration_error
-from activefail.errors import InputError
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map
-from activefail.loop.history import History
 from activefail.paper import published
-from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
+from activefail.paper.methods import LENGTH_SCALE, train
 from activefail.paper.published import tilted
+from activefail.risk.sensitivity.logistic import logistic_regression
 from activefail.seismic.features import paper_features
-from activefail.space import Array, DesignSpace
+from activefail.space import Array
 from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent
 from activefail.verification.scores import log_score, probability_of_truth
@@ -434,32 +433,3 @@ def typical_process(study: Study) -> PaperProcess:
     center, spread = _paper_scaling()
     trained = train((F - center) / spread, failed, "laplace")
     return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))
-
-
-def variable_p_values(space: DesignSpace, history: History, severity: int) -> dict[str, float]:
-    """The p-values of the variables, by name, in a logistic regression of the initial design.
-
-    Only the initial design is a sample of the design space. The variables are standardised as for the classifier.
-    Those with choices are left out.
-
-    Args:
-        space: of the campaign.
-        history: its simulations.
-        severity: number of the outcome whose boundary it is.
-
-    Returns:
-        Empty if the regression has no maximum: one side has no simulation, or a plane separates the sides.
-    """
-    known = history[history.initial & history.answered]
-    beyond = known.outcome >= severity
-    columns = [column for column, one in enumerate(space.parameters) if not one.choices]
-    if not beyond.any() or beyond.all() or not columns:
-        return {}
-    try:
-        fit = logistic_regression(space.standardised(known.designs)[:, columns], beyond)
-    except InputError:
-        # Fewer simulations than variables.
-        return {}
-    if not (fit.converged and np.isfinite(fit.p_values).all()):
-        return {}
-    return dict(zip((space.names[column] for column in columns), fit.p_values.tolist(), strict=True))

@@ -1,7 +1,6 @@
 """Where the answers of the analyses go: each with its page, its numbers, its tables and its pictures."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +40,7 @@ from activefail.risk.fragility.findings import (
 from activefail.risk.ida.collapse import CONFIDENCE
 from activefail.risk.ida.collapse import Fragility as LognormalFit
 from activefail.risk.ida.findings import IdaFindings
-from activefail.risk.sensitivity.findings import SensitivityFindings, write_csv
+from activefail.risk.sensitivity.findings import SensitivityFindings
 from activefail.shares import bounds_percent, interval_percent, percent, significant
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse
@@ -74,7 +73,9 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(findings: FragilityFindings | FragilityByStripes, folder: Path) -> list[Path]:
+def write_fragility(
+    findings: FragilityFindings | FragilityByStripes, folder: Path, campaign: Campaign | None = None
+) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
     if isinstance(findings, FragilityByStripes):
         figures = {"fragility": plot_stripes(findings)}
@@ -190,7 +191,7 @@ def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]
     return cards
 
 
-def write_design(findings: DesignFindings | DesignByStripes, campaign: Campaign, folder: Path) -> list[Path]:
+def write_design(findings: DesignFindings | DesignByStripes, folder: Path, campaign: Campaign) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
     figures: Mapping[str, Figure] = {}
     texts = {
@@ -252,7 +253,7 @@ INDICES, MOVES = "indices", "one_at_a_time"
 """Names of the pictures, without their suffixes."""
 
 
-def write_sensitivity(sensitivity: SensitivityFindings, campaign: Campaign, out: Path) -> list[Path]:
+def write_sensitivity(sensitivity: SensitivityFindings, out: Path, campaign: Campaign) -> list[Path]:
     """Write the page, the table and the pictures (SVG, PNG) into a folder; returns the files.
 
     Raises:
@@ -268,10 +269,10 @@ def write_sensitivity(sensitivity: SensitivityFindings, campaign: Campaign, out:
         figures[INDICES] = plot_indices(sensitivity.indices, sensitivity.confidence, quantities)
     template = markdown_environment().get_template("sensitivity.md.j2")
     page = template.render(it=sensitivity, indices_picture=INDICES, moves_picture=MOVES)
-    return write_folder(out, {"sensitivity.md": page, "sensitivity.csv": partial(write_csv, sensitivity)}, figures)
+    return write_folder(out, {"sensitivity.md": page, "sensitivity.csv": sensitivity.write_table}, figures)
 
 
-def write_ida(findings: IdaFindings, folder: Path) -> list[Path]:
+def write_ida(findings: IdaFindings, folder: Path, campaign: Campaign | None = None) -> list[Path]:
     """Write the page, ida.json, ida.csv, ida.png and ida.svg into a folder; returns the files."""
     numbers, figure = findings.as_json(), plot_ida(findings)
     columns = list(numbers["records"][0])

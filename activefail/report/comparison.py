@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -160,13 +161,33 @@ def comparison_lines(scores: list[ArmScore]) -> list[str]:
     return lines
 
 
+@dataclass(frozen=True)
+class ComparedOverSeeds:
+    """A comparison over seeds: its plan, the scores of its arms, and its page."""
+
+    plan: ComparisonPlan
+    scores: list[ArmScore]
+    page: Path
+
+    exit_code = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        return [*comparison_lines(self.scores), f"page       {self.page}"]
+
+    def as_json(self) -> dict[str, object]:
+        """The findings as JSON values."""
+        return comparison_json(self.plan, self.scores) | {"page": str(self.page)}
+
+
 def run_comparison(
     plan: ComparisonPlan,
     out: Path,
     jobs: int | None = None,
     stage: Callable[[str], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
-) -> tuple[list[ArmScore], Path] | None:
+) -> ComparedOverSeeds | None:
     """Score the arms of a comparison and write its page; None if stopped, with the scores so far saved.
 
     Args:
@@ -189,7 +210,7 @@ def run_comparison(
             lambda done, total: stage(f"{done} of {total} campaigns and static designs scored"),
             stop,
         )
-        return None if scores is None else (scores, write_comparison(plan, scores, out))
+        return None if scores is None else ComparedOverSeeds(plan, scores, write_comparison(plan, scores, out))
 
 
 def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) -> Path:

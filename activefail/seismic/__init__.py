@@ -1,5 +1,7 @@
 """Bearings, ground motions and hazards: a plug-in that ships with activefail."""
 
+COMMANDS = "activefail.seismic.commands:COMMANDS"
+
 FEATURES = {
     "paper": "activefail.seismic.features:of_paper",
     "sliding": "activefail.seismic.features:of_sliding",

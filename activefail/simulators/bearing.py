@@ -24,15 +24,6 @@ _RIMS = {
 }
 
 
-def limits_of(simulator: object) -> tuple[str, ...]:
-    """What the bearing model leaves out, as sentences; none for another simulator."""
-    if not isinstance(simulator, DfpSimulator):
-        return ()
-    strength, deformation = simulator.model.rim_limits
-    rims = _RIMS[simulator.model.rim].format(strength=strength, deformation=deformation)
-    return (_LIMITS.format(rims),)
-
-
 def terms_of(simulator: object, quantities: Mapping[str, float]) -> Terms | None:
     """The designer's terms of a bearing with these quantities (`DesignSpace.quantities`); None if it is not one."""
     return Terms.of(quantities, simulator.model) if isinstance(simulator, DfpSimulator) else None
@@ -53,11 +44,18 @@ class DfpSimulator:
     outcomes = o.OUTCOMES
     margins = o.COLUMNS
     releases_gil = True
+    noun = "bearing"
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Names of the causes; those of rigid rims are as in records from before rims could break."""
         return o.CAUSES if self.model.rim_limits < (math.inf, math.inf) else o.CAUSES[: o.RIM_FRACTURE]
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What the model leaves out, as sentences."""
+        strength, deformation = self.model.rim_limits
+        return (_LIMITS.format(_RIMS[self.model.rim].format(strength=strength, deformation=deformation)),)
 
     @classmethod
     def on(cls, space: DesignSpace, model: Model, tolerance: Tolerance) -> "DfpSimulator":

@@ -113,7 +113,8 @@ class Simulator(Protocol):
     (int) are those that each simulation uses. `failing` and `impossible` (tuples of codes of causes) say which lost
     runs are failures (`settled`), and which are designs that do not exist. `space` (DesignSpace) has the names of a
     design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
-    one of the designs can have no result at all, such as one with a negative friction.
+    one of the designs can have no result at all, such as one with a negative friction. `noun` is what a design
+    describes, such as "bearing", and `limits` are sentences on what the model leaves out.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -153,6 +154,11 @@ class Simulator(Protocol):
             NUMERICAL_FAILURE and one of the simulator's causes.
         """
         ...
+
+
+def limits_of(simulator: object) -> tuple[str, ...]:
+    """What the model of a simulator leaves out, as sentences."""
+    return getattr(simulator, "limits", ())
 
 
 def design_in_words(simulator: Simulator, x: Array) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 from activefail.campaign.assembly import Campaign
 from activefail.findings.lines import titled
 from activefail.shares import interval_percent, percent
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.interface import limits_of
 from activefail.stripes.intervals import Interval
 from activefail.stripes.stripe import OF_BOUND, Stripe
 from activefail.visible import or_worse

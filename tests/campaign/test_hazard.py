@@ -23,10 +23,10 @@ from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.findings.status import read_status
 from activefail.reliability.estimate import plan_estimate
-from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.hazard_summary import HazardSummary
+from activefail.session import estimating
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles

@@ -11,7 +11,8 @@ from ran import Run
 from activefail.bearing import TABLE_1, Model, Tolerance, simulate
 from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
 from activefail.errors import InputError
-from activefail.findings.tables import check_bearing, export_table, predict_table, simulate_table
+from activefail.findings.tables import export_table, predict_table
+from activefail.seismic.tables import check_bearing, simulate_table
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 

@@ -17,7 +17,8 @@ from activefail.errors import InputError
 from activefail.paper import gpml
 from activefail.paper import methods as reference
 from activefail.paper.gpml import SiteParameters, SquaredExponentialPrior
-from activefail.paper.methods import condition, logistic_regression, train
+from activefail.paper.methods import condition, train
+from activefail.risk.sensitivity.logistic import logistic_regression
 
 METHODS = ("laplace", "ep")
 

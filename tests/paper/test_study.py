@@ -19,9 +19,9 @@ from activefail.figures.paper_planes import PLANES
 from activefail.paper import published
 from activefail.paper import study as paper
 from activefail.paper.claims import BY_CHANCE, CONCLUSIONS, NOT_REPRODUCED, REPRODUCED, claims, medians_outside
-from activefail.paper.methods import logistic_regression
 from activefail.paper.study import METHODS, SPLITS, TILTED, VARIANTS, Draw, Logistic, Process, run_study
 from activefail.report.reproduction import render, table_2, write_reproduction
+from activefail.risk.sensitivity.logistic import logistic_regression
 from activefail.sample_mean import Estimate
 from activefail.seismic.features import paper_features
 

@@ -17,9 +17,9 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.report.fragility_section import risk_findings, risk_options
-from activefail.requests import estimating
 from activefail.risk.design.design_task import Requirement
 from activefail.risk.design.stored import stored_designs
+from activefail.session import estimating
 from activefail.shares import percent, significant
 
 LIMIT = f"""
@@ -241,7 +241,7 @@ def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_pa
         "hazard: requires the variable 'T_p' of a pulse; the campaign has x.",
     )
     with open_run(tmp_path / "run", code=tmp_path) as opened:
-        with pytest.raises(InputError, match="--target: requires --hazard"):
+        with pytest.raises(InputError, match=r"^target: requires hazard\."):
             opened.report(target="II")
         opened.report(tmp_path / "page.html")
     assert "Fragility" not in (tmp_path / "page.html").read_text()

@@ -16,10 +16,10 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.inquiry import Inquiry
 from activefail.loop.history import History
-from activefail.paper.study import variable_p_values
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.sensitivity import calculation as module
 from activefail.risk.sensitivity.calculation import default_samples, sensitivity
+from activefail.risk.sensitivity.logistic import variable_p_values
 from activefail.risk.sensitivity.sobol import Estimate, decomposed
 from activefail.run import Run
 from activefail.simulators.interface import Results

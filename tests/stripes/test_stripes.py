@@ -13,6 +13,7 @@ import pytest
 from commandline import activefail, refused
 from scipy.stats import beta, norm
 
+from activefail.analyses import probability
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.finite import FiniteValues
 from activefail.campaign.inquiry import Inquiry
@@ -29,7 +30,6 @@ from activefail.parameter import Parameter
 from activefail.progress import silent
 from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
-from activefail.requests import ProbabilityRequest
 from activefail.risk.design.by_stripes import design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
 from activefail.risk.ida.collapse import fit_lognormal
@@ -495,6 +495,7 @@ def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ..
     [
         ("probability", "--wrong 0.01 --simulations 60", "--simulations: cannot be combined with --wrong."),
         ("probability", "--at-once 4", "--at-once: requires --wrong."),
+        ("probability", "--at-once 3", "--at-once: requires --wrong."),  # the default
         ("design", "--target 0.1 --wrong 0.01 --simulations 200", "--simulations: cannot be combined with --wrong."),
         ("design", "--target 0.1 --wrong 0.01 --chart --out OUT", "--chart: cannot be combined with --wrong."),
         ("design", "--target 0.1 --chart", "--chart: requires --out."),
@@ -502,6 +503,7 @@ def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ..
         ("fragility", "--against x --wrong 0.01 --verify 100", "--verify: cannot be combined with --wrong."),
         ("fragility", "--wrong 0.01 --hazard site.toml", "--hazard: cannot be combined with --wrong."),
         ("fragility", "--against x --intensity a_p", "--intensity: requires --hazard."),
+        ("fragility", "--against x --intensity pgv", "--intensity: requires --hazard."),
         ("fragility", "--hazard site.toml --range 1,2", "--range: requires --against."),
     ],
 )
@@ -515,13 +517,13 @@ def test_an_option_of_another_way_of_answering_is_refused(
 def test_python_refuses_them_too_and_shows_their_defaults(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as opened:
         for words, rule in (
-            ({"wrong": 0.01, "simulations": 60}, "--simulations: cannot be combined with --wrong."),
-            ({"at_once": 4}, "--at-once: requires --wrong."),
+            ({"wrong": 0.01, "simulations": 60}, "simulations: cannot be combined with wrong."),
+            ({"at_once": 3}, "at_once: requires wrong."),
         ):
-            with pytest.raises(InputError, match=rule):
+            with pytest.raises(InputError, match=rf"^{rule}"):
                 opened.probability(**words)
         assert inspect.signature(opened.probability).parameters["simulations"].default == 50
-        assert ProbabilityRequest().simulations == 50
+        assert inspect.signature(probability).parameters["simulations"].default == 50
 
 
 # --- design ---------------------------------------------------------------------------------------------------------

@@ -18,7 +18,8 @@ from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS
 from activefail.risk.design.required_chart import RequiredChart, chart_of
 from activefail.risk.design.search import WORTH, Designed, costs_of
 from activefail.shares import bounds_percent, percent, short, values_in_words
-from activefail.simulators.bearing import limits_of, terms_of
+from activefail.simulators.bearing import terms_of
+from activefail.simulators.interface import limits_of
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
 

@@ -16,7 +16,8 @@ from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import NO_RATES, BoundaryFragility, FragilityFindings
 from activefail.risk.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
 from activefail.shares import percent, values_in_words
-from activefail.simulators.bearing import limits_of, terms_of
+from activefail.simulators.bearing import terms_of
+from activefail.simulators.interface import limits_of
 from activefail.verification.probability_estimator import Estimator
 
 

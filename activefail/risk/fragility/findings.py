@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from activefail.bearing.terms import Terms
+from activefail.csv_table import Target
 from activefail.findings.lines import titled
 from activefail.json_text import json_values, named
 from activefail.parameter import Choice
@@ -108,6 +109,12 @@ class FragilityFindings:
     why_no_risk: str = "a risk requires a hazard with annual rates"
 
     exit_code = 0
+
+    def write_table(self, target: Target) -> None:
+        """Write the curves as a table (see `exports.write_curves`)."""
+        from activefail.risk.fragility.exports import write_curves
+
+        write_curves(self, target)
 
     @property
     def lines(self) -> list[str]:

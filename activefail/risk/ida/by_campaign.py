@@ -1,7 +1,6 @@
 """Capacities of records that begin where a campaign's classifier predicts them; their simulations join its record."""
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +10,15 @@ from activefail.errors import InputError
 from activefail.loop.telling import add
 from activefail.risk.ida.capacity import Capacities, Simulate, capacities_near
 from activefail.risk.ida.simulations import CampaignSubject
+from activefail.session import Session, recording
 from activefail.space import Array
-
-if TYPE_CHECKING:
-    from activefail.run import Run
 
 _LEVELS = 200
 """Levels at which the classifier is asked."""
 
 
 def capacities_by_campaign(
-    subject: CampaignSubject, run: "Run", simulate: Simulate, records: int, rungs: Array, severity: int
+    subject: CampaignSubject, run: Session, simulate: Simulate, records: int, rungs: Array, severity: int
 ) -> Capacities:
     """The capacities of n records.
 
@@ -48,13 +45,11 @@ def capacities_by_campaign(
     beyond = (latent.moments(finite(run.campaign.features, X)).mean > 0.0).reshape(records, _LEVELS)
     starts = levels[np.where(beyond.any(axis=1), beyond.argmax(axis=1), _LEVELS - 1)]
     known = [_known(subject, run, k) for k in range(records)]
-    try:
+    with recording(run):
         return capacities_near(simulate, known, starts, (float(rungs[0]), float(rungs[-1])), severity)
-    finally:
-        run._predicts = None
 
 
-def _known(subject: CampaignSubject, run: "Run", k: int) -> tuple[Array, NDArray[np.int8]]:
+def _known(subject: CampaignSubject, run: Session, k: int) -> tuple[Array, NDArray[np.int8]]:
     """The rising levels of a record in the run folder at the subject's values, and their outcomes."""
     history = run.history
     place = run.space.names.index(subject.ground.level)

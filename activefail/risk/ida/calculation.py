@@ -30,7 +30,7 @@ from activefail.risk.ida.p695 import MarginRequest, normalised_intensity
 from activefail.risk.ida.simulations import BearingSubject, CampaignSubject, Kept
 
 if TYPE_CHECKING:
-    from activefail.run import Run
+    from activefail.session import Session
 
 
 def analysis(
@@ -41,7 +41,7 @@ def analysis(
     to: float | None = None,
     margin: MarginRequest | None = None,
     pulses: bool = False,
-    run: "Run | None" = None,
+    run: "Session | None" = None,
     folder: Path | None = None,
     begin: Begin = uncounted,
 ) -> IdaFindings:

@@ -23,7 +23,7 @@ from activefail.risk.ida.simulations import BearingSubject
 from activefail.space import Array
 
 if TYPE_CHECKING:
-    from activefail.run import Run
+    from activefail.session import Session
 
 _PERIODS = np.geomspace(0.25, 12.0, 60)
 """Periods that are tried first [s]."""
@@ -158,7 +158,7 @@ def predictions(
     subject: BearingSubject,
     motions: Sequence[Accelerogram],
     pulses: Sequence[EquivalentPulse],
-    run: "Run | None",
+    run: "Session | None",
     of_records: Capacities,
     levels: Array,
     intensities: Array,

@@ -25,7 +25,7 @@ from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
 from activefail.risk.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
 from activefail.shares import power
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.interface import limits_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.system import ByMargins

@@ -76,6 +76,27 @@ class SensitivityFindings:
 
     exit_code = 0
 
+    def write_table(self, target: Target) -> None:
+        """Write a row for each variable; what a variable does not have is an empty cell.
+
+        Raises:
+            InputError: if the file cannot be written.
+        """
+        rows: dict[str, dict[str, object]] = {}
+
+        def set_cells(name: str, cells: Iterable[tuple[str, object]]) -> None:
+            rows.setdefault(name, {"variable": name, "unit": self.units[name]}).update(cells)
+
+        for name, first, total in self.indices:
+            set_cells(name, zip(_OF_INDEX, (*first, *total), strict=True))
+        for name, *numbers in self.moves:
+            set_cells(name, zip(_OF_MOVE, numbers, strict=True))
+        for name in self.units:
+            beside = {"length_scale": self.length_scales, "p_value": self.p_values}
+            set_cells(name, ((column, values[name]) for column, values in beside.items() if name in values))
+        with writing(target, _COLUMNS) as write:
+            write([[row.get(column, "") for column in _COLUMNS] for row in rows.values()])
+
     @property
     def heading(self) -> str:
         """What the numbers are about."""
@@ -184,25 +205,3 @@ def _p_value(p: float) -> str:
 _OF_INDEX = ("first", "first_low", "first_high", "total", "total_low", "total_high")
 _OF_MOVE = ("value", "low", "high", "probability_at_low", "probability_at_high")
 _COLUMNS = ("variable", "unit", *_OF_INDEX, "length_scale", "p_value", *_OF_MOVE)
-
-
-def write_csv(sensitivity: SensitivityFindings, target: Target) -> None:
-    """Write a row for each variable; what a variable does not have is an empty cell.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
-    rows: dict[str, dict[str, object]] = {}
-
-    def set_cells(name: str, cells: Iterable[tuple[str, object]]) -> None:
-        rows.setdefault(name, {"variable": name, "unit": sensitivity.units[name]}).update(cells)
-
-    for name, first, total in sensitivity.indices:
-        set_cells(name, zip(_OF_INDEX, (*first, *total), strict=True))
-    for name, *numbers in sensitivity.moves:
-        set_cells(name, zip(_OF_MOVE, numbers, strict=True))
-    for name in sensitivity.units:
-        beside = {"length_scale": sensitivity.length_scales, "p_value": sensitivity.p_values}
-        set_cells(name, ((column, values[name]) for column, values in beside.items() if name in values))
-    with writing(target, _COLUMNS) as write:
-        write([[row.get(column, "") for column in _COLUMNS] for row in rows.values()])

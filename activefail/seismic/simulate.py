@@ -4,112 +4,85 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from activefail.cli.common import (
-    AsJson,
-    name_of,
-    print_json,
-    table_input,
-    table_output,
-)
-from activefail.cli.options import with_options
+from activefail.analysis import Option, option
+from activefail.cli.common import AsJson, name_of, print_json, table_input, table_output
 from activefail.display import progress_bar
 from activefail.errors import InputError, naming
 from activefail.files import check_file, writing_to
 from activefail.record.layout import check_output
-from activefail.requests import MODEL, TOLERANCE
+from activefail.seismic.analyses import MODEL, TOLERANCE
 from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.bearing import Accelerogram, Model, Response, Tolerance
 
 
-@with_options(model=MODEL, tolerance=TOLERANCE)
+DESIGN: Any = option(
+    None,
+    "A design, as the variables of Table 1.",
+    "builtins:dict",
+    parts={
+        "t_b": Option(None, "Bearing period T_b [s].", float),
+        "mu": Option(None, "Friction coefficient.", float),
+        "d_tot": Option(None, "Displacement capacity D_tot [m].", float),
+        "h_sl_ratio": Option(None, "Slider height over slider diameter.", float),
+        "h_rim_ratio": Option(None, "Rim height over slider diameter.", float),
+        "p": Option(None, "Pressure on the slider [MPa].", float),
+        "k": Option(None, "Contact stiffness [N/m^1.5].", float),
+        "t_p": Option(None, "Pulse period T_p [s].", float),
+        "a_p": Option(None, "Pulse amplitude A_p [g].", float),
+    },
+)
+OF_PULSE = ("--t-p", "--a-p")
+
+
 def simulate(
-    t_b: Annotated[float | None, typer.Option(help="Bearing period T_b [s].", show_default=False)] = None,
-    mu: Annotated[float | None, typer.Option(help="Friction coefficient.", show_default=False)] = None,
-    d_tot: Annotated[float | None, typer.Option(help="Displacement capacity D_tot [m].", show_default=False)] = None,
-    h_sl_ratio: Annotated[
-        float | None, typer.Option(help="Slider height over slider diameter.", show_default=False)
-    ] = None,
-    h_rim_ratio: Annotated[
-        float | None, typer.Option(help="Rim height over slider diameter.", show_default=False)
-    ] = None,
-    p: Annotated[float | None, typer.Option(help="Pressure on the slider [MPa].", show_default=False)] = None,
-    k: Annotated[float | None, typer.Option(help="Contact stiffness [N/m^1.5].", show_default=False)] = None,
-    t_p: Annotated[float | None, typer.Option(help="Pulse period T_p [s].", show_default=False)] = None,
-    a_p: Annotated[float | None, typer.Option(help="Pulse amplitude A_p [g].", show_default=False)] = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(help="Ground-motion record in place of the pulse (docs/records.md).", show_default=False),
-    ] = None,
-    unit: Annotated[
-        str | None,
-        typer.Option(
-            help="Unit of the record, if its header states none: g, m/s2, cm/s2 or mm/s2.", show_default=False
-        ),
-    ] = None,
-    scale: Annotated[float | None, typer.Option(help="Factor on the record; 1 by default.", show_default=False)] = None,
-    dt: Annotated[
-        float | None, typer.Option(help="Time between the samples of a record without times [s].", show_default=False)
-    ] = None,
-    vertical: Annotated[
-        Path | None, typer.Option(help="Vertical component of the record, in its unit.", show_default=False)
-    ] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p; - is standard input.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Table to write, with --csv; - is standard output.", show_default=False)
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Plot the response (.png, .svg or .pdf).", show_default=False)
-    ] = None,
-    animate: Annotated[
-        Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
-    ] = None,
+    design: dict[str, float | None] = DESIGN,
+    record: Path | None = option(None, "Ground-motion record in place of the pulse (docs/records.md).", Path),
+    unit: str | None = option(None, "Unit of the record, if its header states none: g, m/s2, cm/s2 or mm/s2."),
+    scale: float | None = option(None, "Factor on the record; 1 by default.", float),
+    dt: float | None = option(None, "Time between the samples of a record without times [s].", float),
+    vertical: Path | None = option(None, "Vertical component of the record, in its unit.", Path),
+    csv: Path | None = option(
+        None, "Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p; - is standard input.", Path
+    ),
+    out: Path | None = option(None, "Table to write, with --csv; - is standard output.", Path),
+    plot: Path | None = option(None, "Plot the response (.png, .svg or .pdf).", Path),
+    animate: Path | None = option(None, "Animate the bearing (.gif or .mp4).", Path),
     as_json: AsJson = False,
-    *,
-    model: "Model",
-    tolerance: "Tolerance",
+    model: "Model" = MODEL,
+    tolerance: "Tolerance" = TOLERANCE,
 ) -> None:
     """Simulate one bearing, or a table of designs.
 
     The ground motion is a pulse or a record.
     """
-    from activefail.bearing.design import TABLE_1
-
-    for option, path in {"--plot": plot, "--animate": animate}.items():
-        check_output(option, path)
-    options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
-    design = dict(zip(options, (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p), strict=True))
-    present = {option: value for option, value in design.items() if value is not None}
+    for name, path in {"--plot": plot, "--animate": animate}.items():
+        check_output(name, path)
+    values = {f"--{name.replace('_', '-')}": value for name, value in design.items()}
+    motion = None
     if record is not None:
-        for option, value in (("--t-p", t_p), ("--a-p", a_p), ("--csv", csv)):
+        for name, value in {**{one: values.pop(one) for one in OF_PULSE}, "--csv": csv}.items():
             if value is not None:
-                raise InputError(f"--record cannot be combined with {option}.")
+                raise InputError(f"--record cannot be combined with {name}.")
         motion = _read_record(record, unit, scale, dt, vertical)
-        _check_single({option: value for option, value in design.items() if option not in ("--t-p", "--a-p")}, out)
-        _simulate_one(list(present.values()), motion, model, tolerance, plot, animate, as_json)
+    else:
+        for name, of_record in {"--unit": unit, "--scale": scale, "--dt": dt, "--vertical": vertical}.items():
+            if of_record is not None:
+                raise InputError(f"{name} requires --record.")
+    present = {name: value for name, value in values.items() if value is not None}
+    if csv is not None:
+        for_one = {"--plot": plot, "--animate": animate, "--json": as_json}
+        if single := [*present, *(name for name, value in for_one.items() if value)]:
+            raise InputError(f"--csv cannot be combined with {single[0]}, which is for one design.")
+        _simulate_table(csv, out, model, tolerance)
         return
-    for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt), ("--vertical", vertical)):
-        if of_record is not None:
-            raise InputError(f"{option} requires --record.")
-    if csv is None:
-        _check_single(design, out)
-        _simulate_one(list(present.values()), None, model, tolerance, plot, animate, as_json)
-        return
-    for_one = {"--plot": plot, "--animate": animate, "--json": as_json}
-    if single := [*present, *(option for option, value in for_one.items() if value)]:
-        raise InputError(f"--csv cannot be combined with {single[0]}, which is for one design.")
-    _simulate_table(csv, out, model, tolerance)
+    _check_single(values, out)
+    _simulate_one(list(present.values()), motion, model, tolerance, plot, animate, as_json)
 
 
 def _read_record(
@@ -201,7 +174,7 @@ def _print_file(title: str, path: Path, as_json: bool) -> None:
 
 
 def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance: "Tolerance") -> None:
-    from activefail.findings.tables import simulate_table
+    from activefail.seismic.tables import simulate_table
 
     if target is None:
         raise InputError("--csv requires --out FILE for the results.")

@@ -1,0 +1,65 @@
+"""The core works without the plug-in that ships with it, and finds those of others."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import activefail
+
+PLATE = """
+sampling = { initial = 10, budget = 10, batch = 5 }
+simulator = { python = "plate:run", margins = ["g"] }
+space = { x = { low = 0, high = 1 }, y = { low = 0, high = 1 } }
+"""
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package, from which the plug-in was deleted, and a campaign."""
+    folder = tmp_path_factory.mktemp("core")
+    ignored = shutil.ignore_patterns("seismic", "__pycache__")
+    shutil.copytree(Path(activefail.__file__).parent, folder / "activefail", ignore=ignored)
+    (folder / "plate.toml").write_text(PLATE)
+    (folder / "plate.py").write_text("def run(design):\n    return 1.3 - design['x'] - design['y']\n")
+    return folder
+
+
+def said(core: Path, *words: str, beside: Path | None = None) -> str:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, filter(None, (core, beside))))}
+    command = [sys.executable, "-m", "activefail", *words]
+    done = subprocess.run(command, cwd=core, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_without_the_plug_in_the_commands_of_the_core_are_there_and_no_others(core: Path) -> None:
+    lines = said(core, "--help").partition("Commands:")[2].splitlines()
+    listed = {line.split()[0] for line in lines if line.strip()}
+    assert {"run", "verify", "probability", "report"} <= listed
+    assert not {"simulate", "hazard", "ida", "paper"} & listed
+
+
+def test_without_the_plug_in_a_campaign_is_run_and_estimated(core: Path) -> None:
+    said(core, "run", "plate.toml", "--out", "run", "--workers", "1")
+    assert "probability of failure" in said(core, "probability", "run", "--simulations", "10")
+    assert "done       10 of 10 simulations" in said(core, "status", "run")
+
+
+def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_path: Path) -> None:
+    metadata = tmp_path / "levee-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: levee\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[activefail.plugins]\nlevee = levee\n")
+    (tmp_path / "levee.py").write_text(
+        "from activefail.analysis import option\n\n\n"
+        "def flood(height: float = option(1.0, 'Height of the water [m].', low=0.0)) -> None:\n"
+        "    '''Say whether a levee holds.'''\n"
+        "    print('holds' if height < 3.0 else 'fails')\n\n\n"
+        "COMMANDS = {flood: '--height 4'}\n"
+    )
+    assert said(core, "flood", "--height", "4", beside=tmp_path) == "fails\n"
+    assert "Example: activefail flood --height 4" in said(core, "flood", "--help", beside=tmp_path)
