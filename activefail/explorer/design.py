@@ -201,6 +201,8 @@ class DesignPage:
             site=self.site,
             bearing=self.bearing,
             target=TARGET,
+            simulates=self._one.simulates,
+            most=SIMULATIONS,
             targets=[(text, json.dumps({TARGET.name: value})) for text, value in targets],
             **links,
         )
@@ -300,7 +302,6 @@ class DesignPage:
         job = self._jobs.last
         return page(
             "verify",
-            most=SIMULATIONS,
             steps=2 * LOOKS,
             job=job if job is not None and job.asked[0] == folder else None,
             # A campaign that has learned meanwhile is opened again, as another object.

@@ -90,8 +90,10 @@ function show(panel, html) {
   delete panel.dataset.stale;
   if (shown.get(panel) !== html) {
     const focused = panel.contains(document.activeElement) && document.activeElement.id;
+    const isOpen = panel.querySelector("details")?.open;
     panel.replaceChildren(...new DOMParser().parseFromString(html, "text/html").body.childNodes);
     if (focused) document.getElementById(focused)?.focus();
+    if (isOpen) panel.querySelector("details")?.setAttribute("open", "");
     shown.set(panel, html);
     mark(panel);
     if (panel.querySelector(".film")) play(panel.querySelector(".film"));

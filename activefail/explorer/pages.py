@@ -17,10 +17,16 @@ Panel = Callable[[Values], str]
 """Makes HTML from a form; raises InputError if a value is invalid."""
 
 
+_TEMPLATES = page_environment("activefail.explorer")
+
+
 def page(name: str, **values: Any) -> Markup:
     """Render the template of a page or of a panel."""
-    template = page_environment("activefail.explorer").get_template(f"{name}.html.j2")
-    return Markup(template.render({"version": __version__, "home": "", "has_design": False} | values))
+    return Markup(
+        _TEMPLATES.get_template(f"{name}.html.j2").render(
+            {"version": __version__, "home": "", "has_design": False} | values
+        )
+    )
 
 
 class Site(Protocol):
