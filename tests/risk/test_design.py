@@ -27,7 +27,7 @@ from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import LOOKS, DesignTask, Requirement, confidence_of_bound, read_targets
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value, required_chart
-from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
+from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design, verifies
 from activefail.run import Run
 from activefail.shares import percent
 from activefail.space import Array, Constraint, DesignSpace
@@ -365,6 +365,24 @@ def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> N
         assert found.status == "not verified"
         assert found.result.surprising > 0
         assert 0.01 < found.missable < 0.1  # of a look of at most 100
+
+
+def test_a_failure_where_the_classifier_was_sure_ends_what_a_former_look_verified() -> None:
+    @dataclass
+    class Missed(Unsure):
+        """A twentieth of all designs fails unseen, which its first look misses by chance."""
+
+        def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+            sampled = super().sample(outcome, simulations, question)
+            demand = question.designs(sampled.plan.designs)[:, 3]
+            hidden = (demand > 0.8) & (demand < 0.85) & (question.draw > 1)
+            return replace(sampled, beyond=sampled.beyond | hidden)
+
+    found = find_design(Missed(1.0, 0.1, 0), task_of(question_of(), 0.1, 1000))  # type: ignore[arg-type]
+    first, last = found.looks
+    assert verifies(first.estimates, [0.1])
+    assert first.candidate.values["capacity"] > last.candidate.values["capacity"]
+    assert (found.status, found.number, found.result.surprising > 0) == ("not verified", 2, True)
 
 
 @dataclass

@@ -130,8 +130,8 @@ class Designed:
         looks: at candidates, in the order in which they were proposed.
         number: of the look at the result, from 1 on: the cheapest verified design; or else the last look, or the safest
             if no design meets the targets by the classifier, and simulations show that the nearest exceeds one.
-        status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
-            classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
+        status: "verified"; "not verified" if every look's upper bound exceeded a target, or a simulation contradicted
+            the classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
             simulations show that those at all ends of the ranges exceed a target.
     """
 
@@ -324,8 +324,10 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             refuted.append(look)
         if verifies(look.estimates, task.targets.tolist()):
             verified.append((task.cost(candidate.values), len(looks)))
-        # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
+        # What the classifier missed where it was sure, any look may miss by chance: no design is built on it, and those
+        # that former looks verified rest on it.
         if look.surprising:
+            verified.clear()
             break
         # Of the nearest design even a lower bound exceeds a target: only the ends of the ranges may still help.
         if not candidate.is_feasible and look in refuted:
