@@ -111,6 +111,20 @@ def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> 
     assert run.store.set_names() == stored
 
 
+def test_a_search_for_another_target_keeps_the_simulations_of_the_same_design(run: Run, folder: Path) -> None:
+    (folder / "stronger.toml").write_text(QUESTION.replace(str(MEDIAN), "5.0"))
+    asked = (None, folder / "stronger.toml", {"friction": 1.0}, ["capacity"])
+    first = run.design(0.05, *asked).designed
+    kept = {name: run.store.read_set(name) for name in run.store.set_names()}
+    other = run.design(0.1, *asked).designed
+    assert first.values == other.values == {"capacity": 4.0}
+    for name, stored in kept.items():
+        again = run.store.read_set(name)
+        assert stored is not None
+        assert again is not None
+        assert np.array_equal(stored[0], again[0])
+
+
 @pytest.mark.slow
 def test_several_free_variables_are_searched_for_the_least_cost(run: Run, folder: Path) -> None:
     # capacity √friction is what counts: with a cost that is steep in friction, the least friction is cheapest, and with
