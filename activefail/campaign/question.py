@@ -107,7 +107,7 @@ class Question:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of what the question defines; empty for the campaign's own design measure."""
+        """SHA-256 of the distribution and of how it is drawn from; empty for the campaign's own design measure."""
         if self.is_own:
             return ""
         if isinstance(self.space, WeightedRows):
@@ -120,6 +120,7 @@ class Question:
         # Parts that older questions did not have are left out where they say nothing, so that digests stay.
         further_parts += [sorted(self.factors.items())] if self.factors else []
         further_parts += [self.draw] if self.draw else []
+        further_parts += [("unguided", self.unguided)] if self.unguided else []
         further_parts += [one.probabilities for one in self.space.parameters if one.choices]
         return hashlib.sha256(repr((*defined, values, *further_parts)).encode()).hexdigest()
 

@@ -20,8 +20,9 @@ from activefail.space import Array
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Estimator, Sampled
 
-_GRID = 13
-"""Values of the first free variable at which a line is scanned."""
+_GRID, _FINE_GRID = 13, 97
+"""Values of the first free variable at which a line is scanned; and scanned again, with few points of an integral, if
+none of these meets the aims."""
 
 _COARSE_GRID, _COARSER = 7, 4
 """The same, and divisor of the points of an integral, while other free variables are searched."""
@@ -130,8 +131,8 @@ class Designed:
         looks: at candidates, in the order in which they were proposed.
         number: of the look at the result, from 1 on: the cheapest verified design; or else the last look, or the safest
             if no design meets the targets by the classifier, and simulations show that the nearest exceeds one.
-        status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
-            classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
+        status: "verified"; "not verified" if every look's upper bound exceeded a target, or a simulation contradicted
+            the classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
             simulations show that those at all ends of the ranges exceed a target.
     """
 
@@ -324,8 +325,10 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
             refuted.append(look)
         if verifies(look.estimates, task.targets.tolist()):
             verified.append((task.cost(candidate.values), len(looks)))
-        # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
+        # What the classifier missed where it was sure, any look may miss by chance: no design is built on it, and those
+        # that former looks verified rest on it.
         if look.surprising:
+            verified.clear()
             break
         # Of the nearest design even a lower bound exceeds a target: only the ends of the ranges may still help.
         if not candidate.is_feasible and look in refuted:
@@ -508,15 +511,24 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
         """The value at a place, which is the number of a step, or the value itself."""
         return float(place) if steps is None else float(steps[round(place)])
 
-    places = np.linspace(low, high, size) if steps is None else np.unique(np.linspace(0, len(steps) - 1, size).round())
+    def scanned(size: int) -> Array:
+        """So many places from one end of the line to the other."""
+        if steps is None:
+            return np.linspace(low, high, size)
+        return np.unique(np.linspace(0, len(steps) - 1, size).round())
+
+    places = scanned(size)
     grid = np.array([at(place) for place in places])
     excesses = np.array([excess(x) for x in grid.tolist()])
     if excesses.min() > 0.0 and not coarse:
         # A dip of the probability, or the limit of a constraint, may lie between two values.
-        beside = np.clip(int(np.argmin(excesses)) + np.array([-1, 1]), 0, len(places) - 1)
+        fine = scanned(_FINE_GRID)
+        rough = [_excess(model({name: at(place), **held}, points // _COARSER), aims) for place in fine]
+        least = int(np.argmin(rough))
         near = {"xatol": 0.5 if steps is not None else _FINE * (high - low)}
-        of = minimize_scalar(lambda u: excess(at(u)), bounds=places[beside], method="bounded", options=near)
-        places = np.union1d(places, of.x if steps is None else round(of.x))
+        beside = fine[max(least - 1, 0)], fine[min(least + 1, len(fine) - 1)]
+        of = minimize_scalar(lambda u: excess(at(u)), bounds=beside, method="bounded", options=near)
+        places = np.union1d(places, [fine[least], of.x if steps is None else round(of.x)])
         grid = np.array([at(place) for place in places])
         excesses = np.array([excess(x) for x in grid.tolist()])
     if excesses.min() > 0.0:
