@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from activefail.execution.executor import Executor
     from activefail.findings.estimates import ErrorFindings, ProbabilityFindings, SurfaceFindings
     from activefail.report.evidence import ReportFindings
-    from activefail.risk.design.by_stripes import DesignByStripes
     from activefail.risk.design.findings import DesignFindings
-    from activefail.risk.fragility.by_stripes import FragilityByStripes
     from activefail.risk.fragility.findings import FragilityFindings
     from activefail.risk.sensitivity.findings import SensitivityFindings
     from activefail.stripes.findings import StripeFindings
@@ -124,14 +122,12 @@ def probability(
     from activefail.campaign.inquiry import Inquiry
     from activefail.findings.estimates import ProbabilityFindings
     from activefail.findings.status import estimate_of
-    from activefail.stripes.findings import StripeFindings
 
     outcome = boundary_named(run, outcome)
     asked = Inquiry.of(run.campaign, hazard, question, fixed).question
     if wrong is not None:
         with asking_stripes(run, at_once, executor, stage) as stripes:
-            stripe = stripes.ask(asked, outcome, wrong)
-        return StripeFindings.of(run.campaign, stripe, confidence)
+            return stripes.ask(asked, outcome, wrong).estimate(confidence)
     with estimating(run, executor, stage) as estimator:
         estimate = estimator.sample(outcome, simulations, asked, checks=True).estimate(confidence)
         findings = ProbabilityFindings.of(run.campaign, run.history, estimator.classifier, outcome, estimate, asked)
@@ -152,7 +148,7 @@ def _range(text: str) -> tuple[float, float]:
     "runs/first --hazard hazard.toml --bearing bearing.toml --out figures",
     table="Table of the curves to write; - is standard output.",
     pages="Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and "
-    "OpenQuake; with --wrong the page, its picture and fragility.json.",
+    "OpenQuake.",
     writer="activefail.report.analyses:write_fragility",
 )
 def fragility(
@@ -187,7 +183,7 @@ def fragility(
     *,
     executor: "Executor | None" = None,
     stage: Stage = silent,
-) -> "FragilityFindings | FragilityByStripes":
+) -> "FragilityFindings":
     """Show the probability of each outcome against intensity.
 
     The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
@@ -208,7 +204,7 @@ def fragility(
             check_designs_of(asked.question.at({ladder.name: end}), run.campaign.simulator, "bounds (--range)")
     if wrong is not None:
         with asking_stripes(run, at_once, executor, stage) as stripes:
-            return fragility_by_stripes(stripes, asked.question, ladder, outcome, wrong, confidence)
+            return fragility_by_stripes(stripes, asked, ladder, outcome, wrong, confidence)
     with estimating(run, executor, stage, bool(verify)) as estimator:
         return calculation.fragility(estimator, asked, ladder, outcome, verify, confidence, stage)
 
@@ -219,7 +215,7 @@ def _names(text: str) -> list[str]:
 
 @analysis(
     "runs/first --hazard hazard.toml --target 0.02 --free D_tot",
-    pages="Folder for the page design.html, its pictures, and design.json and design.toml; with --wrong the last two.",
+    pages="Folder for the page design.html, its pictures, and design.json and design.toml.",
     writer="activefail.report.analyses:write_design",
 )
 def design(
@@ -253,7 +249,7 @@ def design(
     *,
     executor: "Executor | None" = None,
     stage: Stage = silent,
-) -> "DesignFindings | DesignByStripes":
+) -> "DesignFindings":
     """Find and verify the smallest design that meets a target.
 
     The target is a probability of an outcome, such as failure. Free variables stay within the campaign's ranges; the
@@ -277,10 +273,10 @@ def design(
     task = design_task(asked, requirements, names, cost, confidence, simulations, rate)
     if wrong is not None:
         with asking_stripes(run, at_once, executor, stage) as stripes:
-            return design_by_stripes(stripes, task, wrong)
+            return DesignFindings.of(design_by_stripes(stripes, task, wrong))
     with estimating(run, executor, stage) as estimator:
         designed = find_design(estimator, task, stage)
-        findings = DesignFindings.of(estimator, designed, chart, stage)
+        findings = DesignFindings.beside(estimator, designed, chart, stage)
     if run.writes:
         remember_design(run.store, designed)
     return findings

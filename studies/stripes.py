@@ -222,13 +222,14 @@ def designs(options):
                     inquiry = Inquiry.of(found.campaign, fixed=fixed, free=["D_tot"])
                     task = design_task(inquiry, (Requirement("failure", target),))
                     result = design_by_stripes(asks, task, options.wrong[0])
-                    place, right = result.place, True
-                    for k, meets in ((place, result.meets), (place - 1, False)):
-                        if k >= 0 and (k == place or result.meets):
+                    place, right = int(np.argmin(np.abs(grid - result.values["D_tot"]))), True
+                    is_met = result.status == "met"
+                    for k, meets in ((place, is_met), (place - 1, False)):
+                        if k >= 0 and (k == place or is_met):
                             X = [[T_b, mu, grid[k], record, options.velocity] for record in range(44)]
                             right &= bool(bearing_fails(np.array(X)).mean() <= target + ROUNDING) == meets
-                    at = f"{grid[place]:.2f}" if result.meets else f"> {grid[-1]:.2f}"
-                    count = len(result.stripes)
+                    at = f"{grid[place]:.2f}" if is_met else f"> {grid[-1]:.2f}"
+                    count = len(result.looks)
                     line(seed, T_b, mu, target, at, count, result.simulations, 44 * count, "yes" if right else "no")
 
 
@@ -287,16 +288,17 @@ def curves(options):
                 exact = exact_curve(T_b, mu, D_tot)
                 inquiry = Inquiry.of(found.campaign, fixed={"T_b": T_b, "mu": mu, "D_tot": D_tot})
                 ladder = ladder_of(inquiry, against="PGV")
-                curve = fragility_by_stripes(asks, inquiry.question, ladder, "failure", options.wrong[0], CONFIDENCE)
+                found_curve = fragility_by_stripes(asks, inquiry, ladder, "failure", options.wrong[0], CONFIDENCE)
+                curve = found_curve.boundaries[0]
                 fit = curve.fit.fit
-                count = len(curve.levels)
+                count, runs = len(curve.verified), sum(one.estimate.simulations for one in curve.verified)
                 found_of = (
                     f"{fit.median:.2f}",
                     f"{exact.median:.2f}",
                     f"{fit.dispersion:.2f}",
                     f"{exact.dispersion:.2f}",
                 )
-                line(seed, T_b, mu, D_tot, count, curve.simulations, 44 * count, *found_of)
+                line(seed, T_b, mu, D_tot, count, runs, 44 * count, *found_of)
 
 
 MADE_UP = {

@@ -159,7 +159,7 @@ def test_a_noise_that_is_not_normal_is_told_beside_every_number_of_the_classifie
         task = design_task(Inquiry(campaign, campaign.question), (Requirement("failure", 0.1),), ("x",))
         sampled = estimator.sample("failure", 20, task.question.at({"x": 0.2}))
         look = Look(Candidate({"x": 0.2}, np.array([0.2]), is_feasible=False), (sampled,), 0.9, 20)
-        design = DesignFindings.of(estimator, Designed(task, (look,), 1, "out of reach"), False, silent)
+        design = DesignFindings.beside(estimator, Designed(task, (look,), 1, "out of reach"), False, silent)
     found = ProbabilityFindings.of(campaign, history, classifier, "failure", estimate, campaign.question)
     told = [
         saved.sentence(settings),

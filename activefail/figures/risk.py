@@ -15,7 +15,6 @@ from activefail.findings.quantities import Quantity, custom_quantity, plain, qua
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.stored import StoredDesign
-from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
 from activefail.risk.ida.collapse import Fragility
@@ -23,6 +22,7 @@ from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import Move
 from activefail.risk.sensitivity.sobol import Index
 from activefail.shares import significant
+from activefail.stripes.findings import StripeFindings
 
 _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 """Labels in a decade of an axis."""
@@ -78,7 +78,11 @@ def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str)
         lengths = np.maximum([middle - low, high - middle], 0.0)
         label = f"{name}, verified ({100.0 * estimates[0].confidence:g} % intervals)"
         look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": "", "capsize": 2.5, "linewidth": 1.0}
-        axes.errorbar([level.level for level in one.verified], middle, lengths, label=label, **look)
+        at = [level.level for level in one.verified]
+        axes.errorbar(at, middle, lengths, label=label, **look)
+        others = [it.others or (np.nan, np.nan) for it in estimates if isinstance(it, StripeFindings)]
+        if others and np.isfinite(others).any():
+            axes.vlines(at, *np.transpose(others), color=colour, linewidth=0.6, label=f"{name}, other values")
 
 
 def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
@@ -224,7 +228,7 @@ def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
         axes.errorbar(x, middle, lengths, color=colour, marker=marker, linestyle="", capsize=4)
         axes.axhline(100.0 * one.target, color=colour, linestyle="--", label=text)
     axes.set_xticks(range(len(looks)), [f"look {number}" for number in range(1, len(looks) + 1)])
-    axes.set(xlim=(-0.6, len(looks) - 0.4), ylabel="probability from fresh simulations [%]")
+    axes.set(xlim=(-0.6, len(looks) - 0.4), ylabel="probability from simulations [%]")
     axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
     legend_outside(figure)
     return figure
@@ -248,34 +252,6 @@ def plot_ida(findings: IdaFindings) -> Figure:
     variable = custom_quantity(findings.intensity.name, findings.intensity.unit)
     _draw_fit(axes, findings.fragility, (0.0, findings.highest), variable, findings.event)
     axes.set_title(f"{len(findings.capacities.capacity)} records from {findings.records.events} events", fontsize=9)
-    legend_outside(figure)
-    return figure
-
-
-@styled()
-def plot_stripes(findings: FragilityByStripes) -> Figure:
-    """The share of values that have failed at each level, the stripes with their intervals, and the lognormal curve."""
-    figure, axes = panel(*_SIZE)
-    ladder, weight = findings.ladder, findings.stripes[0].values.weight
-    axes.step(
-        ladder.levels,
-        findings.beyond @ weight,
-        where="post",
-        color=BLACK,
-        linewidth=1.2,
-        label="by simulations, else classifier",
-    )
-    for name, colour, width, intervals in (
-        ("others", GREY, 1.0, [one.others or (np.nan, np.nan) for one in findings.found]),
-        ("these", BLACK, 2.5, [one.these for one in findings.found]),
-    ):
-        low, high = np.array(intervals).T
-        if np.isfinite(low).any():
-            label = f"interval, {name}, {100.0 * findings.found[0].confidence:g} %"
-            axes.vlines(findings.levels, low, high, color=colour, linewidth=width, label=label)
-    axes.plot(findings.levels, [one.probability for one in findings.stripes], "o", color=BLACK, label="stripes")
-    ends = float(ladder.levels[0]), float(ladder.levels[-1])
-    _draw_fit(axes, findings.fit, ends, custom_quantity(ladder.name, ladder.unit), findings.event)
     legend_outside(figure)
     return figure
 

@@ -136,6 +136,11 @@ class ProbabilityEstimate:
     modes: tuple[ModeShare, ...] = ()
 
     @property
+    def basis(self) -> str:
+        """What the probability rests on, beside other probabilities."""
+        return f"{self.simulations} fresh simulations, contradictions: {self.contradictions}"
+
+    @property
     def numbers(self) -> dict[str, float]:
         """What `--json` shows of it."""
         return {

@@ -15,7 +15,6 @@ from activefail.figures.risk import (
     plot_looks,
     plot_moves,
     plot_required,
-    plot_stripes,
 )
 from activefail.figures.style import save_png_and_svg
 from activefail.figures.svg import inline, inlined
@@ -23,9 +22,7 @@ from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import by_name, custom_quantity, plain, quantity
 from activefail.json_text import json_text
 from activefail.report.environment import markdown_environment, page_environment
-from activefail.risk.design.by_stripes import DesignByStripes
 from activefail.risk.design.findings import DesignFindings
-from activefail.risk.fragility.by_stripes import FragilityByStripes
 from activefail.risk.fragility.exports import OPENQUAKE, PELICUN, files_of
 from activefail.risk.fragility.findings import (
     CAPACITIES,
@@ -41,7 +38,7 @@ from activefail.risk.ida.collapse import CONFIDENCE
 from activefail.risk.ida.collapse import Fragility as LognormalFit
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import SensitivityFindings
-from activefail.shares import bounds_percent, interval_percent, percent, significant
+from activefail.shares import bounds_percent, percent, significant
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse
 
@@ -73,15 +70,8 @@ def write_folder(
     return [*(folder / name for name in files), *pictures]
 
 
-def write_fragility(
-    findings: FragilityFindings | FragilityByStripes, folder: Path, campaign: Campaign | None = None
-) -> list[Path]:
+def write_fragility(findings: FragilityFindings, folder: Path, campaign: Campaign | None = None) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
-    if isinstance(findings, FragilityByStripes):
-        figures = {"fragility": plot_stripes(findings)}
-        page = render_stripes(findings, figures)
-        numbers = json_text(findings.as_json()) + "\n"
-        return write_folder(folder, {"fragility.html": page, "fragility.json": numbers}, figures)
     figures = plot_fragility_findings(findings)
     shown, files = curves_shown(findings, figures), files_of(findings)
     programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
@@ -112,22 +102,6 @@ def _of_fit(fit: LognormalFit | None, event: str, unit: str, over: str) -> list[
             interval = f"({low} to {high}{of} with {100.0 * CONFIDENCE:g} % confidence, over {over})"
         cards.append((what, f"{significant(value)}{of}", interval))
     return cards
-
-
-def render_stripes(findings: FragilityByStripes, figures: "Mapping[str, Figure]") -> str:
-    """The page of a curve by stripes; without a median, the stripe nearest to one half is in its box."""
-    unit = f" {findings.ladder.unit}" if findings.ladder.unit else ""
-    fit, title = None if findings.why_no_median else findings.fit, _sentence(findings.heading)
-    cards = _of_fit(fit, findings.event, unit, "groups")
-    if not cards:
-        near = min(range(len(findings.stripes)), key=lambda place: abs(findings.stripes[place].probability - 0.5))
-        one = findings.found[near]
-        what = f"probability of {findings.event} at {findings.ladder.name} = {findings.levels[near]:.4g}{unit}"
-        interval = f"({interval_percent(*one.these, 1)} with {100.0 * one.confidence:g} % confidence, of these values)"
-        cards = [(what, percent(one.stripe.probability), interval)]
-    notes = findings.found[0].of_question
-    drawn = inlined(figures.values(), "curves", title)
-    return _page("stripes.html.j2", title=title, findings=findings, cards=cards, drawn=drawn, notes=notes)
 
 
 def _sentence(text: str) -> str:
@@ -168,6 +142,7 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
         "has_lognormal": any(one.is_lognormal for one in findings.boundaries),
         "has_pulses": len(figures) > 1,
         "has_verification": findings.has_verification,
+        "fresh": "" if findings.by_stripes else "fresh ",
         "no_risk": why_no_risk(findings),
         "notes": findings.assumptions,
     }
@@ -176,6 +151,8 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
 def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]:
     """The median capacity of a boundary, and its risk or its probability under the hazard, if there is one."""
     event, unit, alone = or_worse(one.outcome, findings.outcomes), unit_of(findings), "by the classifier, no interval"
+    if one.fit is not None and one.fit.median:
+        return _of_fit(one.fit, event, unit, "groups")
     of, interval = one.capacity(0.5)
     level, why = of.level, of.reason or alone
     if ends := ends_in_words(interval):
@@ -191,21 +168,20 @@ def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]
     return cards
 
 
-def write_design(findings: DesignFindings | DesignByStripes, folder: Path, campaign: Campaign) -> list[Path]:
+def write_design(findings: DesignFindings, folder: Path, campaign: Campaign) -> list[Path]:
     """Write a design's files into a folder; returns the files."""
     figures: Mapping[str, Figure] = {}
+    if findings.chart is not None:
+        figures = plot_required(findings.chart, by_name(campaign), marks_of(findings))
     texts = {
+        "design.html": render_design(findings, figures),
         "design.json": json_text(findings.as_json()) + "\n",
         "design.toml": _values_text(findings, campaign),
     }
-    if isinstance(findings, DesignFindings):
-        if findings.chart is not None:
-            figures = plot_required(findings.chart, by_name(campaign), marks_of(findings))
-        texts = {"design.html": render_design(findings, figures), **texts}
     return write_folder(folder, texts, figures)
 
 
-def _values_text(findings: DesignFindings | DesignByStripes, campaign: Campaign) -> str:
+def _values_text(findings: DesignFindings, campaign: Campaign) -> str:
     """The design as TOML, for --fixed of other commands."""
     units = {parameter.name: parameter.unit for parameter in campaign.space.parameters}
     lines = [f"# {findings.verdict}"]
@@ -213,6 +189,10 @@ def _values_text(findings: DesignFindings | DesignByStripes, campaign: Campaign)
         unit = f"  # {units[name]}" if units.get(name) else ""
         lines.append(f"{name} = {value!r}{unit}")
     return "\n".join(lines) + "\n"
+
+
+_ABOVE = {"design", "result", "verified", "met", "estimate", "note"}
+"""Titles of rows that stand elsewhere on the page of a design."""
 
 
 def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | None" = None) -> str:
@@ -228,7 +208,8 @@ def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | Non
     design = design.replace(",\N{NO-BREAK SPACE}", ", ")
     cards = [(f"design, {what}", design, "")]
     for event, one, of in zip(events, task.requirements, designed.result.estimates, strict=True):
-        name, values = f"{event} from fresh simulations", [of.probability, of.low, of.high, one.target]
+        name = f"{event} {'under these values' if designed.by_stripes else 'from fresh simulations'}"
+        values = [of.probability, of.low, of.high, one.target]
         if (rate := task.rate) is not None:
             name, values = f"risk of {event[2:-1]} in {rate.years:g} years", [rate.risk(P) for P in values]
         value, low, high, target = values
@@ -245,7 +226,7 @@ def render_design(findings: DesignFindings, figures: "Mapping[str, Figure] | Non
         cards=cards,
         chart=findings.chart if figures else None,
         drawn=drawn,
-        lines=[line for line in findings.rows if line[0] not in ("design", "result", "verified", "estimate", "note")],
+        lines=[line for line in findings.rows if line[0] not in _ABOVE],
     )
 
 

@@ -1,10 +1,11 @@
-"""What a question over finitely many values has found, as text and JSON."""
+"""What a question over finitely many values has found: a probability with two intervals, as text and JSON."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-from activefail.campaign.assembly import Campaign
 from activefail.findings.lines import titled
+from activefail.json_text import named
 from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import limits_of
 from activefail.stripes.intervals import Interval
@@ -18,39 +19,60 @@ class StripeFindings:
 
     Attributes:
         stripe: what is known of the values.
-        outcomes: of the simulator, the least severe first.
         confidence: of the intervals.
-        fixed: values of the other variables, as people see them.
-        of_question: what the question and the simulator assume, as sentences.
     """
 
     stripe: Stripe
-    outcomes: tuple[str, ...]
     confidence: float
-    fixed: dict[str, Any]
-    of_question: tuple[str, ...] = ()
 
-    exit_code = 0
-
-    @classmethod
-    def of(cls, campaign: Campaign, stripe: Stripe, confidence: float) -> "StripeFindings":
-        """The findings of a campaign."""
-        question, simulator = stripe.question, campaign.simulator
-        assumed = (*question.stated_of(of_values=True), *limits_of(simulator))
-        if outside := int((~campaign.space.spans(stripe.values.X)).sum()):
-            text = f"{outside} of the {len(stripe.values)} values are outside the design space, where the classifier "
-            assumed = (f"{text}extrapolates.", *assumed)
-        return cls(stripe, tuple(simulator.outcomes), confidence, campaign.space.written(question.fixed), assumed)
+    exit_code = surprising = 0
 
     @property
+    def probability(self) -> float:
+        """Of the values."""
+        return self.stripe.probability
+
+    @cached_property
     def these(self) -> Interval:
         """The interval of these values."""
         return self.stripe.of_these(self.confidence)
 
-    @property
+    @cached_property
     def others(self) -> Interval | None:
         """The interval of other values of their kind."""
         return self.stripe.of_others(self.confidence)
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval of these values."""
+        return self.these.low
+
+    @property
+    def high(self) -> float:
+        """Upper end of it."""
+        return self.these.high
+
+    @property
+    def simulations(self) -> int:
+        """Of this call."""
+        return self.stripe.new
+
+    @property
+    def contradictions(self) -> int:
+        """Random predictions that were wrong."""
+        return self.stripe.checked.contradicted
+
+    @property
+    def basis(self) -> str:
+        """What the probability rests on, beside other probabilities."""
+        others = "" if self.others is None else f"; others {_ends(self.others)}"
+        known, count = int(self.stripe.known.sum()), len(self.stripe.values)
+        return f"{known} of {count} values simulated, {self.simulations} now{others}"
+
+    @property
+    def fixed(self) -> dict[str, Any]:
+        """Values of the other variables, as people see them."""
+        return self.stripe.campaign.space.written(self.stripe.question.fixed)
 
     @property
     def _names(self) -> str:
@@ -73,11 +95,18 @@ class StripeFindings:
     @property
     def lines(self) -> list[str]:
         """The findings as lines of a terminal."""
+        at = ", ".join(f"{name} = {value}" for name, value in self.fixed.items())
+        event = or_worse(self.stripe.outcome, self.stripe.campaign.simulator.outcomes)
+        head = f"probability of {event}{f' at {at}' if at else ''}: {self.probability:.3g}"
+        return [head, *titled([*self.rows, *(("note", sentence) for sentence in self.assumptions)])]
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Titles and texts, without those of notes."""
         stripe, sure = self.stripe, f"with {100.0 * self.confidence:g} % confidence"
         count, simulated = len(stripe.values), int(stripe.known.sum())
         predicted, checked = int(stripe.predicted.sum()), stripe.checked
         lost = f"; {int(stripe.lost.sum())} gave no outcome and count both ways" if stripe.lost.any() else ""
-        at = ", ".join(f"{name} = {value}" for name, value in self.fixed.items())
         these = f"the {count} values of {self._names}"
         rows = [("these", f"{_ends(self.these)}, {sure}: {these}; what is left is that predictions may be wrong")]
         if self.others is not None:
@@ -86,7 +115,8 @@ class StripeFindings:
             rows.append(("others", f"{_ends(self.others)}, {sure}: {kind}"))
         else:
             rows.append(("others", f"no interval: {self.why_no_others}"))
-        rows += [
+        return [
+            *rows,
             ("from", f"{simulated} simulated ({stripe.new} runs now) and {predicted} predicted{lost}"),
             (
                 "wrong",
@@ -100,15 +130,12 @@ class StripeFindings:
                 f"shows that at most {percent(stripe.most_wrong)} is predicted wrongly ({100 * OF_BOUND:g} %)",
             ),
             ("campaign", f"{stripe.learned} simulations, these among them"),
-            *(("note", sentence) for sentence in self.assumptions),
         ]
-        named = or_worse(stripe.outcome, self.outcomes)
-        return [f"probability of {named}{f' at {at}' if at else ''}: {stripe.probability:.3g}", *titled(rows)]
 
     @property
     def assumptions(self) -> list[str]:
         """What the numbers assume, and what contradicts them, as sentences."""
-        stripe, sentences = self.stripe, []
+        stripe, campaign, sentences = self.stripe, self.stripe.campaign, []
         if stripe.expected_wrong > stripe.wrong:
             sentences.append(
                 "More is expected wrong than was asked for: the doubtful values are in flight elsewhere. Record their "
@@ -118,7 +145,10 @@ class StripeFindings:
             sentences.append("The check contradicted the classifier.")
         if stripe.predicted.any():
             sentences.append(self._of_sure)
-        return [*sentences, *self.of_question]
+        if outside := int((~campaign.space.spans(stripe.values.X)).sum()):
+            text = f"{outside} of the {len(stripe.values)} values are outside the design space, where the classifier "
+            sentences.append(f"{text}extrapolates.")
+        return [*sentences, *stripe.question.stated_of(of_values=True), *limits_of(campaign.simulator)]
 
     @property
     def _of_sure(self) -> str:
@@ -133,46 +163,42 @@ class StripeFindings:
             f"mean of 10 %, this check{of_others}."
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """The findings as JSON values."""
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The numbers of the outcome, as JSON values."""
         stripe = self.stripe
         return {
-            "outcomes": {
-                stripe.outcome: {
-                    "probability": stripe.probability,
-                    "low": self.these.low,
-                    "high": self.these.high,
-                    "confidence": self.confidence,
-                    "others": None if self.others is None else self.others._asdict(),
-                    "others_reason": self.why_no_others or None,
-                    "values": len(stripe.values),
-                    "groups": self._groups or None,
-                    "simulations": stripe.new,
-                    "simulated": int(stripe.known.sum()),
-                    "numerical_failures": int(stripe.lost.sum()),
-                    "predicted": int(stripe.predicted.sum()),
-                    "wrong": stripe.wrong,
-                    "expected_wrong": stripe.expected_wrong,
-                    "doubted": stripe.doubted,
-                    "check": {
-                        "simulations": stripe.checked.simulated,
-                        "contradicted": stripe.checked.contradicted,
-                        "probability_wrong_high": stripe.most_wrong,
-                        "confidence": OF_BOUND,
-                    },
-                    "sure_wrong": {
-                        "mean": stripe.sure_wrong.mean,
-                        "high": stripe.sure_wrong.most(OF_BOUND),
-                        "confidence": OF_BOUND,
-                        "earlier_simulations": stripe.earlier.simulated,
-                        "earlier_contradicted": stripe.earlier.contradicted,
-                    },
-                    "campaign_simulations": stripe.learned,
-                    "fixed": self.fixed,
-                    "assumptions": self.assumptions,
-                }
-            }
+            **named(self, "probability", "low", "high", "confidence"),
+            "others": None if self.others is None else self.others._asdict(),
+            "others_reason": self.why_no_others or None,
+            "values": len(stripe.values),
+            "groups": self._groups or None,
+            "simulations": stripe.new,
+            "simulated": int(stripe.known.sum()),
+            "numerical_failures": int(stripe.lost.sum()),
+            "predicted": int(stripe.predicted.sum()),
+            **named(stripe, "wrong", "expected_wrong", "doubted"),
+            "check": {
+                "simulations": stripe.checked.simulated,
+                "contradicted": stripe.checked.contradicted,
+                "probability_wrong_high": stripe.most_wrong,
+                "confidence": OF_BOUND,
+            },
+            "sure_wrong": {
+                "mean": stripe.sure_wrong.mean,
+                "high": stripe.sure_wrong.most(OF_BOUND),
+                "confidence": OF_BOUND,
+                "earlier_simulations": stripe.earlier.simulated,
+                "earlier_contradicted": stripe.earlier.contradicted,
+            },
+            "campaign_simulations": stripe.learned,
+            "fixed": self.fixed,
+            "assumptions": self.assumptions,
         }
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        return {"outcomes": {self.stripe.outcome: self.numbers}}
 
 
 def _ends(interval: Interval) -> str:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,9 @@ from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import probability_wrong
 from activefail.verification.stored_sets import first_fault_text
 
+if TYPE_CHECKING:
+    from activefail.stripes.findings import StripeFindings
+
 _CHECKED, _LEAST_CHECKED = 0.1, 3
 """Share of the predictions that a check simulates too, and their least number."""
 
@@ -75,6 +78,7 @@ class Stripe:
     """What is known of a question's values.
 
     Attributes:
+        campaign: whose record and classifier speak.
         question: whose values they are.
         outcome: of the boundary.
         values: the n values.
@@ -89,6 +93,7 @@ class Stripe:
         learned: simulations with an outcome that the classifier learned from.
     """
 
+    campaign: Campaign
     question: Question
     outcome: str
     values: FiniteValues
@@ -174,6 +179,12 @@ class Stripe:
         found = of_others(self.beyond, self.values.weight, self.values.group, self._drawn, confidence)
         these = self.of_these(confidence)
         return found and Interval(min(found.low, these.low), max(found.high, these.high))
+
+    def estimate(self, confidence: float) -> "StripeFindings":
+        """The probability with intervals of this confidence."""
+        from activefail.stripes.findings import StripeFindings
+
+        return StripeFindings(self, confidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +273,7 @@ class Stripes:
         if impossible.any():
             values = values.without(impossible)
         return Stripe(
+            campaign=self.campaign,
             question=question,
             outcome=outcome,
             values=values,

@@ -32,6 +32,7 @@ from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
 from activefail.risk.design.by_stripes import design_by_stripes
 from activefail.risk.design.design_task import Requirement, design_task
+from activefail.risk.design.findings import DesignFindings
 from activefail.risk.ida.collapse import fit_lognormal
 from activefail.shares import significant
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
@@ -540,8 +541,9 @@ def test_design_finds_the_smallest_value_that_meets_its_target_in_few_simulation
     grid = np.linspace(0.0, 2.0, 41)
     smallest = min(y for y in grid if truth(2.0, y) <= 0.2 + 1e-9)
     assert numbers["bearing"] == {"x": 2.0, "y": pytest.approx(smallest)}
-    assert numbers["outcomes"]["failure"]["probability"] == pytest.approx(truth(2.0, smallest))
-    assert numbers["simulations"] < VALUES * len(numbers["tried"]) / 2
+    assert numbers["probability"] == pytest.approx(truth(2.0, smallest))
+    assert numbers["simulations"] < VALUES * len(numbers["looks"]) / 2
+    assert (tmp_path / "out" / "design.html").exists()
     again = activefail(*words, "--target", "20%")
     assert f"y = {smallest:.4g}" in again.out.splitlines()[0]
     assert "0 simulations now" in again.out
@@ -595,8 +597,8 @@ def test_of_a_catalogue_simulations_decide_and_the_classifier_says_what_to_ask_f
     assert stripes.asked == asked
     assert stripes.looked == [int(one) for one in looked.replace(" ", "")]
     place, sentence = result.split(", ", 1)
-    assert found.place == int(place)
-    assert sentence in found.verdict
+    assert found.values["bearing"] == int(place)
+    assert sentence in DesignFindings(found, None).verdict  # type: ignore[arg-type]
 
 
 def test_design_by_stripes_refuses_two_ranges_and_a_continuous_open_variable(folder: Path) -> None:
@@ -616,35 +618,37 @@ def test_a_fragility_curve_has_a_stripe_at_each_level_and_a_lognormal_fit(
     shown = activefail(*words, "--json", "--range", "0.8,3.8", "--out", tmp_path / "out")
     assert shown.code == 0, shown.err
     numbers = json.loads(shown.out)
-    for one in numbers["levels"]:
+    failure = numbers["outcomes"]["failure"]
+    assert len(failure["verified"]) == 4
+    for one in failure["verified"]:
         assert one["probability"] == pytest.approx(truth(one["level"], 1.0), abs=1.01 / VALUES)
     capacity = 2.5 - 1.3 * np.sin(1.7 * np.arange(VALUES) + 0.4)
     exact = fit_lognormal(capacity * 0.999, capacity)
     assert exact is not None
-    assert numbers["lognormal"]["median"] == pytest.approx(exact.median, rel=0.02)
-    assert numbers["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.1)
-    low, high = numbers["lognormal"]["median_interval"]
+    assert failure["lognormal"]["median"] == pytest.approx(exact.median, rel=0.02)
+    assert failure["lognormal"]["dispersion"] == pytest.approx(exact.dispersion, rel=0.1)
+    low, high = failure["lognormal"]["median_interval"]
     assert low < exact.median < high
-    assert numbers["simulations"] < VALUES * len(numbers["levels"]) / 2
-    assert json.loads((tmp_path / "out" / "fragility.json").read_text())["levels"] == numbers["levels"]
+    assert sum(one["simulations"] for one in failure["verified"]) < VALUES * len(failure["verified"]) / 2
+    assert json.loads((tmp_path / "out" / "fragility.json").read_text()) == numbers
     page = (tmp_path / "out" / "fragility.html").read_text()
     interval = f"{significant(low)} to {significant(high)} with 95 % confidence"
-    assert f"<b>{significant(numbers['lognormal']['median'])}</b> ({interval}" in page
+    assert f"<b>{significant(failure['lognormal']['median'])}</b> ({interval}" in page
     assert "<svg" in page
     table = activefail(*words, "--range", "0.8,3.8", "--csv", "-")
-    assert table.out.splitlines()[0] == "x,probability,low,high,others_low,others_high,simulated,predicted"
-    assert len(table.out.splitlines()) == 1 + len(numbers["levels"])
+    assert [row.split(",")[1] for row in table.out.splitlines()].count("verified") == len(failure["verified"])
     again = activefail(*words, "--range", "0.8,3.8")
-    assert again.out.splitlines()[0] == "probability of failure against x at y = 1"
-    assert re.search(r"\nmedian +\d\.\d\d \(\d\.\d\d to \d\.\d\d, 95 %, over groups\)\n", again.out)
+    assert again.out.splitlines()[0].startswith("fragility against x, under")
+    assert "given      y = 1" in again.out
+    assert re.search(r" median \d\.\d+ \(\d\.\d\d to \d\.\d\d, 95 %, over groups\)", again.out)
     assert "It follows from a prior with a mean of 10 %" in again.out
 
 
 @pytest.mark.parametrize(
     ("levels", "why"),
     [
-        ("0.5,1.8", "it lies beyond every level, an extrapolation; choose others with --range"),
-        ("0,3.8", "the levels are not all positive; choose others with --range"),
+        ("0.5,1.8", "the curve does not cover 10 % to 50 %"),
+        ("0,3.8", "some levels of the curve are not positive"),
     ],
 )
 def test_a_median_beyond_the_levels_is_not_led_with(folder: Path, tmp_path: Path, levels: str, why: str) -> None:
@@ -653,8 +657,8 @@ def test_a_median_beyond_the_levels_is_not_led_with(folder: Path, tmp_path: Path
     assert shown.code == 0, shown.err
     assert why in shown.out
     page = (tmp_path / "fragility.html").read_text()
-    assert f"no median: {why}" in page
-    assert "<span>median capacity" not in page
+    assert f"none is fitted: {why}" in page
+    assert "over groups" not in page
 
 
 def test_a_curve_by_stripes_has_levels_between_safe_and_failed(folder: Path) -> None:

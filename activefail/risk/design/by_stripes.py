@@ -1,21 +1,15 @@
-"""The cheapest design that meets its targets under finitely many values, such as records, stripe by stripe."""
+"""Searches for the cheapest design that meets its targets under finitely many values, such as records, by stripes."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from activefail.errors import InputError
-from activefail.findings.lines import titled
-from activefail.json_text import json_values
 from activefail.risk.design.design_task import DesignTask
-from activefail.risk.design.findings import OUT_OF_REACH
-from activefail.shares import short
-from activefail.stripes.findings import StripeFindings
-from activefail.stripes.stripe import Stripe, Stripes
-from activefail.visible import visible
+from activefail.risk.design.search import Candidate, Designed, Look
+from activefail.shares import values_in_words
+from activefail.space import Array
+from activefail.stripes.stripe import Stripes
 
 STEPS = 40
 """Steps of the range of a continuous free variable."""
@@ -24,123 +18,14 @@ _MEETS = 1.0 + 1e-9
 """Largest ratio of a probability to its target that meets it: weights that sum to the target may round above it."""
 
 
-@dataclass(frozen=True, eq=False)
-class DesignByStripes:
-    """A design that meets its targets under finitely many values, or the largest or safest one.
-
-    Attributes:
-        task: what was asked.
-        candidates: values of the free variables that could be the result, the cheapest first.
-        stripes: by the place of a candidate, one stripe for each requirement.
-        place: of the result.
-    """
-
-    task: DesignTask
-    candidates: list[dict[str, float]]
-    stripes: dict[int, tuple[Stripe, ...]]
-    place: int
-
-    @cached_property
-    def found(self) -> tuple[StripeFindings, ...]:
-        """The probability of each requirement's outcome at the result; the confidence is that of the intervals."""
-        campaign, confidence = self.task.asked.campaign, self.task.confidence
-        return tuple(StripeFindings.of(campaign, one, confidence) for one in self.stripes[self.place])
-
-    @property
-    def bearing(self) -> dict[str, Any]:
-        """The values of all variables that are certain, by name."""
-        return self.found[0].fixed
-
-    @property
-    def simulations(self) -> int:
-        """Of this command."""
-        return sum(one.new for stripes in self.stripes.values() for one in stripes)
-
-    @property
-    def meets(self) -> bool:
-        """Whether the result meets its targets."""
-        return _ratio(self.task, self.stripes[self.place]) <= _MEETS
-
-    @property
-    def exit_code(self) -> int:
-        """`OUT_OF_REACH` if no design meets its targets."""
-        return 0 if self.meets else OUT_OF_REACH
-
-    @property
-    def verdict(self) -> str:
-        """What the result is, in one sentence."""
-        name = self.task.free[0]
-        if not _is_line(self.task):
-            count = len(self.candidates)
-            before = self.place if self.meets else count
-            looked = sum(place < before for place in self.stripes)
-            missed = f"{looked} miss it by their simulations, and {before - looked} by the classifier"
-            if not self.meets:
-                return f"None of {count} designs meets the target under these values: {missed}. This one is the safest."
-            return (
-                f"The cheapest of {count} designs that meets the target under these values, or the first of equally "
-                f"cheap ones. Of the {before} before it, {missed}."
-            )
-        if not self.meets:
-            return f"This largest {name} of the campaign's range does not meet the target under these values."
-        if self.place == 0:
-            return f"The least {name} of the campaign's range meets the target under these values."
-        probabilities = ", ".join(f"{100.0 * one.probability:.3g} %" for one in self.stripes[self.place - 1])
-        below = f"{name} = {self.candidates[self.place - 1][name]:.4g} has {probabilities}"
-        return f"The smallest {name} that meets the target under these values; {below}."
-
-    @property
-    def lines(self) -> list[str]:
-        """The findings as lines of a terminal."""
-        known = {name: one if isinstance(one, str) else short(one) for name, one in self.bearing.items()}
-        rows = [("design", visible(", ".join(f"{name} = {value}" for name, value in known.items())))]
-        rows.append(("result", self.verdict))
-        targets = [f"{100.0 * one.target:.4g} %" for one in self.task.requirements]
-        rows.append(("target", f"{', '.join(targets)}; met by the values themselves, not by the upper ends below"))
-        count = len(self.stripes) * len(self.found[0].stripe.values)
-        stripes = f"{len(self.stripes)} values of {', '.join(self.task.free)}"
-        rows.append(("from", f"{self.simulations} simulations now at {stripes}; all values would take {count}"))
-        return [*titled(rows), *(line for one in self.found for line in one.lines)]
-
-    def as_json(self) -> dict[str, Any]:
-        """The findings as JSON values."""
-        tried, written = sorted(self.stripes), self.task.asked.campaign.space.written
-        probabilities = [[one.probability for one in self.stripes[place]] for place in tried]
-        return json_values(
-            {
-                "status": "met" if self.meets else "out of reach",
-                "bearing": self.bearing,
-                "free": self.task.ranges,
-                "simulations": self.simulations,
-                "targets": {one.outcome: one.target for one in self.task.requirements},
-                "outcomes": {key: of for one in self.found for key, of in one.as_json()["outcomes"].items()},
-                "tried": [
-                    {
-                        "values": written(self.candidates[place]),
-                        "probability": dict(zip(self._outcomes, shares, strict=True)),
-                    }
-                    for place, shares in zip(tried, probabilities, strict=True)
-                ],
-            }
-        )
-
-    @property
-    def _outcomes(self) -> list[str]:
-        return [one.outcome for one in self.task.requirements]
-
-
-def _ratio(task: DesignTask, stripes: Iterable[Stripe]) -> float:
-    """The largest ratio of a probability to its target."""
-    return max(one.probability / of.target for one, of in zip(stripes, task.requirements, strict=True))
-
-
-def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> DesignByStripes:
+def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Designed:
     """Find the cheapest values of the free variables whose probabilities meet their targets.
 
     Of a single variable that is to be small it assumes that the probabilities fall with it. The classifier predicts
     where they meet the targets, and stripes there and beside it bracket the result, by steps that double; bisection
     ends the search. Of a catalogue, the cheapest design that the classifier predicts to meet them is asked for, until
-    one does; if it predicts none, the safest one, until none seems safer than one that was asked for.
+    one does; if it predicts none, the safest one, until none seems safer than one that was asked for. The classifier
+    learns from each stripe.
 
     Args:
         stripes: asks.
@@ -150,33 +35,67 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
     Raises:
         InputError: if the task has neither, or risks in a number of years.
     """
-    if not (_is_line(task) or task.is_finite):
+    if not (task.is_line or task.is_finite):
         raise InputError(
             "wrong: requires one free variable, which is made small, or free variables with steps or choices; leave "
             "the cost out, and fix the others."
         )
     if task.rate is not None:
         raise InputError("wrong: requires a target probability, not a risk in a number of years.")
-    candidates = task.candidates({}) if task.is_finite else _grid(task)
-    asked: dict[int, tuple[Stripe, ...]] = {}
+    candidates, outcomes = candidates_of(task), [one.outcome for one in task.requirements]
+    looks: dict[int, Look] = {}
+    found: dict[int, Array] = {}  # by simulations
+    predicted: dict[int, Array] = {}  # by the present classifier
 
-    def meets(place: int) -> bool:
-        if place not in asked:
+    def model(place: int) -> Array:
+        if place not in predicted:
             question = task.question.at(candidates[place])
-            written = task.asked.campaign.space.written(candidates[place])
-            stripes.stage(", ".join(f"{name} = {value}" for name, value in written.items()))
-            asked[place] = tuple(stripes.ask(question, one.outcome, wrong) for one in task.requirements)
-        return _ratio(task, asked[place]) <= _MEETS
+            predicted[place] = np.array([stripes.predicted(question, outcome).probability for outcome in outcomes])
+        return predicted[place]
 
     def ratio(place: int) -> float:
         """The largest ratio of a probability to its target, by the classifier if the place has not been asked for."""
-        question = task.question.at(candidates[place])
-        return _ratio(task, asked.get(place) or (stripes.predicted(question, one.outcome) for one in task.requirements))
+        return float(((found[place] if place in found else model(place)) / task.targets).max())
+
+    def meets(place: int) -> bool:
+        if place not in looks:
+            values, question = candidates[place], task.question.at(candidates[place])
+            candidate = Candidate(values, model(place), ratio(place) <= _MEETS)
+            stripes.stage(values_in_words(task.asked.campaign.space, values))
+            asked = tuple(stripes.ask(question, outcome, wrong) for outcome in outcomes)
+            looks[place] = Look(candidate, asked, 0.5 + 0.5 * task.confidence)
+            found[place] = np.array([one.probability for one in asked])
+            predicted.clear()
+        return ratio(place) <= _MEETS
 
     last = len(candidates) - 1
-    if _is_line(task):
+    if task.is_line:
         start = min(last, _first(len(candidates), last // 2, lambda place: ratio(place) <= _MEETS))
-        return DesignByStripes(task, candidates, asked, min(last, _first(len(candidates), start, meets)))
+        result = min(last, _first(len(candidates), start, meets))
+    else:
+        result = _of_catalogue(last, ratio, meets)
+    number = list(looks).index(result) + 1
+    return Designed(task, tuple(looks.values()), number, "met" if meets(result) else "out of reach")
+
+
+def candidates_of(task: DesignTask) -> list[dict[str, float]]:
+    """Values of the free variables that could be the result, the cheapest first.
+
+    Raises:
+        InputError: if constraints allow none.
+    """
+    return task.candidates({}) if task.is_finite else _grid(task)
+
+
+def _of_catalogue(last: int, ratio: Callable[[int], float], meets: Callable[[int], bool]) -> int:
+    """The place of the cheapest design of a catalogue that meets the targets, or of the safest.
+
+    Args:
+        last: place of the dearest.
+        ratio: the largest ratio of a probability to its target at a place, by the classifier until it is asked for.
+        meets: asks for a place.
+    """
+    asked = set[int]()
     while True:
         # The classifier learns from each stripe. The first that promises to meet the targets is the least so far.
         ratios = [ratio(0)]
@@ -184,13 +103,9 @@ def design_by_stripes(stripes: Stripes, task: DesignTask, wrong: float) -> Desig
             ratios.append(ratio(len(ratios)))
         place = int(np.argmin(ratios))
         if place in asked:
-            return DesignByStripes(task, candidates, asked, place)
+            return place
         meets(place)
-
-
-def _is_line(task: DesignTask) -> bool:
-    """Whether a single variable with an order is to be small."""
-    return len(task.free) == 1 and not task.choices and task.cost_text == task.free[0]
+        asked.add(place)
 
 
 def _grid(task: DesignTask) -> list[dict[str, float]]:

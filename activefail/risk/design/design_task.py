@@ -112,6 +112,16 @@ class DesignTask:
         return all(bool(one.holds(known)) for one in self.constraints if one.names <= known.keys())
 
     @property
+    def is_line(self) -> bool:
+        """Whether a single variable with an order is to be small."""
+        return len(self.free) == 1 and not self.choices and self.cost_text == self.free[0]
+
+    @property
+    def smaller(self) -> str:
+        """What a better design is, in one word."""
+        return "smaller" if self.cost_text == self.free[0] else "cheaper"
+
+    @property
     def is_finite(self) -> bool:
         """Whether the free variables have finitely many values."""
         return len(self.stepped) == len(self.low)

@@ -14,12 +14,15 @@ from activefail.findings.learned_from import noise_notes
 from activefail.findings.lines import titled
 from activefail.json_text import json_values
 from activefail.progress import Stage
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.risk.design.by_stripes import candidates_of
 from activefail.risk.design.design_task import BEARING_PERIOD, LOOKS
 from activefail.risk.design.required_chart import RequiredChart, chart_of
-from activefail.risk.design.search import WORTH, Designed, costs_of
+from activefail.risk.design.search import WORTH, Answer, Designed, costs_of
 from activefail.shares import bounds_percent, percent, short, values_in_words
 from activefail.simulators.bearing import terms_of
 from activefail.simulators.interface import limits_of
+from activefail.stripes.findings import StripeFindings
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import or_worse, visible
 
@@ -42,7 +45,7 @@ class DesignFindings:
         at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
             without interval; empty unless the targets are risks in a number of years.
         costs: by confidence, the value of the first free variable that it would take, the others held; NaN if out of
-            range; empty if out of reach.
+            range; empty if out of reach, and by stripes.
         chart: values that targets require; None if it was not asked for.
         noise: sentences on a margin whose noise is not normal.
     """
@@ -56,8 +59,13 @@ class DesignFindings:
     noise: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, estimator: Estimator, designed: Designed, with_chart: bool, stage: Stage) -> Self:
-        """The findings of a search, with what stands beside the design.
+    def of(cls, designed: Designed) -> Self:
+        """The findings of a search alone."""
+        return cls(designed, designed.question.outside(designed.task.asked.campaign.space))
+
+    @classmethod
+    def beside(cls, estimator: Estimator, designed: Designed, with_chart: bool, stage: Stage) -> Self:
+        """The findings of a search by fresh simulations, with what the classifier says beside the design.
 
         Args:
             estimator: with which it was made.
@@ -99,8 +107,12 @@ class DesignFindings:
     @property
     def bearing(self) -> dict[str, Any]:
         """The values of all variables that are certain, by name, in the campaign's order."""
-        fixed, space = self.designed.question.fixed, self.campaign.space
-        return space.written({name: fixed[name] for name in space.names if name in fixed})
+        return self.campaign.space.written(self._certain)
+
+    @property
+    def _certain(self) -> dict[str, float]:
+        fixed = self.designed.question.fixed
+        return {name: fixed[name] for name in self.campaign.space.names if name in fixed}
 
     @property
     def uncertain(self) -> list[str]:
@@ -139,31 +151,59 @@ class DesignFindings:
     @property
     def _at_upper_friction(self) -> dict[str, float]:
         known = self.campaign.space.quantities(self.designed.question.fixed)
-        factors = self._upper
-        return {name: value * factors[name] if name in factors else value for name, value in known.items()}
+        return {name: value * self._upper.get(name, 1.0) for name, value in known.items()}
 
     @property
     def assumptions(self) -> list[str]:
         """What the result assumes, as sentences."""
-        task = self.designed.task
-        sentences, limit = [*self.designed.question.assumptions, *self.noise], self.designed.result.of_bound
-        if (rate := task.rate) is not None:
-            at_least = ", ".join(percent(share) for share in self.at_least)
-            sentences.append(
-                f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity "
-                f"the classifier's probability is {at_least} (no interval). Above its last point the curve is "
-                "extrapolated."
-            )
+        task, result = self.designed.task, self.designed.result
+        sentences = []
         for name in task.free:
             if name in task.question.fixed:
                 given = self.in_words({name: task.question.fixed[name]})
                 sentences.append(f"{name} is a free variable, so the given {given} was ignored.")
         of_pulse = () if self.hazard is None else ("T_p", "A_p")
-        if kept := [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]:
+        kept = [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]
+        if kept and not self.designed.by_stripes:
             sentences.append(
                 f"No value is given for {', '.join(kept)}. The distribution is that of the question, or else the "
                 "campaign's."
             )
+        if self.designed.by_stripes:
+            stripes = [one for one in result.estimates if isinstance(one, StripeFindings)]
+            sentences += dict.fromkeys(sentence for one in stripes for sentence in one.assumptions)
+            if task.is_line:
+                sentences.append(f"The probability is assumed to fall with {task.free[0]}.")
+            return sentences
+        sentences = [*self.designed.question.assumptions, *self.noise, *self._of_rate, *sentences, *self._of_looks]
+        if self.hazard is None and self.designed.question.is_of_campaign:
+            sentences.append(
+                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
+                "use --hazard or --question."
+            )
+        if missable := self.designed.missable:
+            sentences.append(
+                "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
+                f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
+                f"({100.0 * result.of_bound:.3g} % confidence)."
+            )
+        return [*sentences, *limits_of(self.campaign.simulator)]
+
+    @property
+    def _of_rate(self) -> list[str]:
+        """What a target in years leaves out."""
+        if (rate := self.designed.task.rate) is None:
+            return []
+        at_least = ", ".join(percent(share) for share in self.at_least)
+        return [
+            f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity the "
+            f"classifier's probability is {at_least} (no interval). Above its last point the curve is extrapolated."
+        ]
+
+    @property
+    def _of_looks(self) -> list[str]:
+        """What the looks share, and why the classifier found no better design."""
+        task, candidate, sentences = self.designed.task, self.designed.result.candidate, list[str]()
         if self.outside.share and not self.outside.advice:
             sentences.append(
                 f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design "
@@ -174,8 +214,7 @@ class DesignFindings:
             f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: each one "
             "spends four fifths of what is left."
         )
-        kind = "small" if task.cost_text == task.free[0] else "cheap"
-        candidate = self.designed.result.candidate
+        least = f"{task.smaller.removesuffix('er')}est"
         if not candidate.is_feasible:
             sentences.append(
                 "No design within the ranges brings the classifier's probability down to the search's goal. This "
@@ -186,41 +225,32 @@ class DesignFindings:
             sentences.append(
                 f"All {candidate.compared} designs of the free variables' values{allowed} were compared by the "
                 f"classifier. It "
-                f"puts those that are {kind}er than this one above the search's goal, and this one below it."
+                f"puts those that are {task.smaller} than this one above the search's goal, and this one below it."
             )
         elif len(candidate.ranges) > 1 or (candidate.ranges and candidate.ranges[0][1] < task.high[task.free[0]]):
             ranges = " and ".join(f"{short(low)} to {short(high)}" for low, high in candidate.ranges)
             sentences.append(
                 f"The classifier's probability meets the search's goal for {task.free[0]} of {ranges}, and exceeds it "
-                f"between and beyond. This design is the {kind}est of these: a larger one may miss the target."
+                f"between and beyond. This design is the {least} of these: a larger one may miss the target."
             )
         else:
             sentences.append(
-                f"Beyond this design, the classifier's probability stays below the search's goal. A {kind}er design "
-                "may also meet the target, because the probability need not fall as the design grows."
+                f"Beyond this design, the classifier's probability stays below the search's goal. A {task.smaller} "
+                "design may also meet the target, because the probability need not fall as the design grows."
             )
         if any(share > one.target for one, share in zip(task.requirements, self.at_upper, strict=False)):
             sentences.append(
                 "At the upper property bounds the classifier's probability exceeds the target. The fresh "
                 "simulations use the lower property bounds only."
             )
-        if self.hazard is None and self.designed.question.is_of_campaign:
-            sentences.append(
-                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
-                "use --hazard or --question."
-            )
-        if missable := self.designed.missable:
-            sentences.append(
-                "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
-                f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
-                f"({100.0 * limit:.3g} % confidence)."
-            )
-        return [*sentences, *limits_of(self.campaign.simulator)]
+        return sentences
 
     @property
     def verdict(self) -> str:
         """How the search ended, in one sentence."""
         designed = self.designed
+        if designed.by_stripes:
+            return self._of_stripes
         match designed.status:
             case "verified":
                 return (
@@ -252,9 +282,34 @@ class DesignFindings:
                 )
 
     @property
+    def _of_stripes(self) -> str:
+        """The verdict of stripes."""
+        designed, task, candidates = self.designed, self.designed.task, candidates_of(self.designed.task)
+        looks = {candidates.index(dict(look.candidate.values)): look for look in designed.looks}
+        place, is_met, name = list(looks)[designed.number - 1], designed.status == "met", task.free[0]
+        if not task.is_line:
+            before = place if is_met else len(candidates)
+            looked = sum(one < before for one in looks)
+            missed = f"{looked} miss it by their simulations, and {before - looked} by the classifier"
+            if not is_met:
+                of = f"None of {len(candidates)} designs meets the target under these values"
+                return f"{of}: {missed}. This one is the safest."
+            return (
+                f"The cheapest of {len(candidates)} designs that meets the target under these values, or the first of "
+                f"equally cheap ones. Of the {before} before it, {missed}."
+            )
+        if not is_met:
+            return f"This largest {name} of the campaign's range does not meet the target under these values."
+        if place == 0:
+            return f"The least {name} of the campaign's range meets the target under these values."
+        probabilities = ", ".join(f"{100.0 * one.probability:.3g} %" for one in looks[place - 1].estimates)
+        below = f"{name} = {candidates[place - 1][name]:.4g} has {probabilities}"
+        return f"The smallest {name} that meets the target under these values; {below}."
+
+    @property
     def widening(self) -> str:
         """Which ranges the campaign lacks, and what that means for the design; empty if it lacks few pulses."""
-        if not self.outside.advice:
+        if not self.outside.advice or self.designed.by_stripes:
             return ""
         means = (
             "Fresh simulations are drawn there, so a verified design stands; a wider campaign may find a smaller one."
@@ -266,8 +321,7 @@ class DesignFindings:
         """Why no smaller design was looked at, or what became of it, in one sentence."""
         designed, task = self.designed, self.designed.task
         cost = task.cost(designed.values)
-        kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
-        is_far = bool(designed.result.ratios(task.targets).max() < _FAR)
+        kind, is_far = task.smaller, bool(designed.result.ratios(task.targets).max() < _FAR)
         more = (
             f" The probability is far below the target: --simulations {2 * task.simulations} may verify a {kind} one."
         )
@@ -323,6 +377,7 @@ class DesignFindings:
         ]
         return json_values(
             {
+                "version": 2,
                 "status": designed.status,
                 "bearing": self.bearing,
                 "free": task.ranges,
@@ -335,7 +390,7 @@ class DesignFindings:
                 "look": designed.number,
                 "looks": looks,
                 "contradictions_where_sure": result.surprising,
-                "could_fail_unseen": designed.missable,
+                "could_fail_unseen": None if designed.by_stripes else designed.missable,
                 "at_limit_of_range": designed.at_limit,
                 "first_free_variable_by_confidence": {
                     f"{of:g}": self._first(value) for of, value in self.costs.items()
@@ -358,7 +413,7 @@ class DesignFindings:
     @property
     def exit_code(self) -> int:
         """`OUT_OF_REACH` if no design was shown to meet its targets."""
-        return 0 if self.designed.status == "verified" else OUT_OF_REACH
+        return 0 if self.designed.status in ("verified", "met") else OUT_OF_REACH
 
     @property
     def lines(self) -> list[str]:
@@ -371,21 +426,17 @@ class DesignFindings:
         designed, task, result = self.designed, self.designed.task, self.designed.result
         first, outcomes = task.free[0], self.campaign.simulator.outcomes
         events = [f"P({visible(or_worse(one.outcome, outcomes))})" for one in task.requirements]
-        fixed, space = designed.question.fixed, self.campaign.space
-        certain = {name: fixed[name] for name in space.names if name in fixed}
         rows = [("widen", self.widening)] if self.widening else []
-        rows += [("design", self.in_words(certain, with_units=True)), ("result", self.verdict)]
-        title = "verified" if designed.status == "verified" else "estimate"
+        rows += [("design", self.in_words(self._certain, with_units=True)), ("result", self.verdict)]
+        title = designed.status if designed.status in ("verified", "met") else "estimate"
         parts = zip(events, task.requirements, result.estimates, result.candidate.model, strict=True)
         for event, one, estimate, model in parts:
-            bounds = bounds_percent(estimate.low, estimate.high)
             text = (
-                f"{event} = {percent(estimate.probability, 2)}, {bounds}, each bound with "
-                f"{100.0 * result.of_bound:.3g} % confidence, so that all looks together have "
-                f"{100.0 * task.confidence:g} %; target {100.0 * one.target:.4g} %; classifier "
-                f"{percent(model, 2)}"
+                f"{event} = {percent(estimate.probability, 2)}, {self._sure(estimate)}; target "
+                f"{100.0 * one.target:.4g} %; classifier {percent(model, 2)}"
             )
             rows.append((title, text))
+            rows += estimate.rows if isinstance(estimate, StripeFindings) else []
             if (rate := task.rate) is not None:
                 low, middle, high = (rate.risk(P) for P in (estimate.low, estimate.probability, estimate.high))
                 text = (
@@ -394,14 +445,7 @@ class DesignFindings:
                     "year"
                 )
                 rows.append(("risk", text))
-        estimates = [estimate for look in designed.looks for estimate in look.estimates]
-        contradicted, failed = sum(one.contradictions for one in estimates), sum(one.unanswered for one in estimates)
-        failures = f", {failed} are numerical failures" if failed else ""
-        text = (
-            f"{designed.simulations} fresh simulations, contradictions: {contradicted}{failures}; "
-            f"{len(designed.looks)} of at most {LOOKS} looks"
-        )
-        rows.append(("from", text))
+        rows.append(("from", self._from))
         if task.cost_text != first:
             rows.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
         rows += [("limit", f"{name} is at the {side} end of its range") for name, side in designed.at_limit.items()]
@@ -422,3 +466,32 @@ class DesignFindings:
                 ("upper", f"{event} at the upper property bounds: {percent(share, 2)} (classifier, no interval)")
             )
         return rows + [("note", sentence) for sentence in self.assumptions]
+
+    def _sure(self, estimate: Answer) -> str:
+        """The interval of a probability, and what it is sure of."""
+        bounds, result = bounds_percent(estimate.low, estimate.high), self.designed.result
+        if self.designed.by_stripes:
+            return f"{bounds} of these values"
+        return (
+            f"{bounds}, each bound with {100.0 * result.of_bound:.3g} % confidence, so that all looks together have "
+            f"{100.0 * self.designed.task.confidence:g} %"
+        )
+
+    @property
+    def _from(self) -> str:
+        """The simulations of all looks."""
+        designed, estimates = self.designed, [estimate for look in self.designed.looks for estimate in look.estimates]
+        if designed.by_stripes:
+            of_first = (look.estimates[0] for look in designed.looks)
+            count = sum(len(one.stripe.values) for one in of_first if isinstance(one, StripeFindings))
+            return (
+                f"{designed.simulations} simulations now at {len(designed.looks)} designs; all values would take "
+                f"{count}. The target is met by the values themselves, not by the upper end"
+            )
+        contradicted = sum(one.contradictions for one in estimates)
+        failed = sum(one.unanswered for one in estimates if isinstance(one, ProbabilityEstimate))
+        failures = f", {failed} are numerical failures" if failed else ""
+        return (
+            f"{designed.simulations} fresh simulations, contradictions: {contradicted}{failures}; "
+            f"{len(designed.looks)} of at most {LOOKS} looks"
+        )

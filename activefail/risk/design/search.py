@@ -17,6 +17,8 @@ from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import LOOKS, DesignTask, confidence_of_bound
 from activefail.space import Array
+from activefail.stripes.findings import StripeFindings
+from activefail.stripes.stripe import Stripe
 from activefail.verification.confidence_bounds import upper_bound
 from activefail.verification.probability_estimator import Estimator, Sampled
 
@@ -77,23 +79,27 @@ class Candidate:
     compared: int = 0
 
 
+Answer = ProbabilityEstimate | StripeFindings
+"""A probability with its interval, from fresh simulations or a stripe."""
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Fresh simulations of a candidate."""
+    """Simulations of a candidate: fresh ones, or stripes."""
 
     candidate: Candidate
-    sampled: tuple[Sampled, ...]  # (r,) of each requirement
+    sampled: tuple[Sampled, ...] | tuple[Stripe, ...]  # (r,) of each requirement
     of_bound: float  # confidence of each bound of the intervals
     size: int = 0  # fresh simulations that it asked for, of each requirement
 
     @cached_property
-    def estimates(self) -> tuple[ProbabilityEstimate, ...]:
+    def estimates(self) -> tuple[Answer, ...]:
         """The probability of each requirement's outcome."""
         return tuple(sampled.estimate(2.0 * self.of_bound - 1.0) for sampled in self.sampled)
 
     @property
     def simulations(self) -> int:
-        """Fresh simulations of this look."""
+        """Simulations of this look."""
         return sum(estimate.simulations for estimate in self.estimates)
 
     @property
@@ -110,7 +116,7 @@ class Look:
         return np.array([estimate.low for estimate in self.estimates]) > targets
 
 
-def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float]) -> bool:
+def verifies(estimates: Sequence[Answer], targets: Sequence[float]) -> bool:
     """Whether a look verifies a design: the rule of "verified".
 
     All upper bounds meet their targets, and no simulation contradicts the classifier where it was sure.
@@ -133,18 +139,23 @@ class Designed:
             if no design meets the targets by the classifier, and simulations show that the nearest exceeds one.
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or a simulation contradicted
             the classifier where it was sure; "out of reach" if no design meets the targets by the classifier, and
-            simulations show that those at all ends of the ranges exceed a target.
+            simulations show that those at all ends of the ranges exceed a target. By stripes "met", or "out of reach".
     """
 
     task: DesignTask
     looks: tuple[Look, ...]
     number: int
-    status: Literal["verified", "not verified", "out of reach"]
+    status: Literal["verified", "not verified", "out of reach", "met"]
 
     @property
     def result(self) -> Look:
         """The look at the result."""
         return self.looks[self.number - 1]
+
+    @property
+    def by_stripes(self) -> bool:
+        """Whether stripes were simulated."""
+        return not isinstance(self.result.sampled[0], Sampled)
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -158,7 +169,7 @@ class Designed:
 
     @property
     def simulations(self) -> int:
-        """All fresh simulations."""
+        """All simulations of this search."""
         return sum(look.simulations for look in self.looks)
 
     @property
@@ -167,11 +178,9 @@ class Designed:
 
         The confidence is that of the result's bound.
         """
-        shares = [0.0]
-        for sampled in self.result.sampled:
-            count, share = sampled.plan.surest
-            shares.append(share * upper_bound(0, count, self.result.of_bound))
-        return min(1.0, max(shares))
+        surest = [one.plan.surest for one in self.result.sampled if isinstance(one, Sampled)]
+        shares = (share * upper_bound(0, count, self.result.of_bound) for count, share in surest)
+        return min(1.0, max(shares, default=0.0))
 
     @property
     def at_limit(self) -> dict[str, str]:

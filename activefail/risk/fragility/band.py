@@ -10,6 +10,7 @@ from activefail.campaign.question import Question
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.fragility.curve import Curve, first_above
 from activefail.space import Array
+from activefail.stripes.findings import StripeFindings
 from activefail.weighted import BLOCKS, WeightedRows
 
 _TARGETS = (0.1, 0.025, 0.5, 0.05, 0.2, 0.01, 0.9, 0.35, 0.7)
@@ -30,10 +31,10 @@ _STEPS = 400
 
 
 class VerifiedLevel(NamedTuple):
-    """A level with the probability from fresh simulations, whose interval is for this level alone."""
+    """A level with the probability from simulations, whose interval is for this level alone."""
 
     level: float
-    estimate: ProbabilityEstimate
+    estimate: ProbabilityEstimate | StripeFindings
 
 
 class Interval(NamedTuple):

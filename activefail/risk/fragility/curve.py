@@ -166,15 +166,16 @@ def fit_lognormal(curve: Curve) -> Lognormal | None:
         least_squares(lambda x: root_width * differences(x), [math.log(middle), math.log(start)]) for start in _STARTS
     ]
     best = min(fits, key=lambda fit: float(fit.cost))
-    missed = np.abs(differences(best.x))
+    return beside(curve, math.exp(best.x[0]), math.exp(best.x[1]))
+
+
+def beside(curve: Curve, median: float, dispersion: float) -> Lognormal:
+    """A lognormal curve beside a curve."""
+    fit = Lognormal(median, dispersion, 0.0, 0.0, curve.rises)
+    missed = np.abs(fit.at(curve.ladder.levels) - curve.probability)
     worst = int(np.argmax(missed))
-    return Lognormal(
-        median=math.exp(best.x[0]),
-        dispersion=math.exp(best.x[1]),
-        largest_misfit=float(missed[worst]),
-        largest_misfit_at=float(curve.ladder.levels[worst]),
-        rises=curve.rises,
-    )
+    at = float(curve.ladder.levels[worst])
+    return fit._replace(largest_misfit=float(missed[worst]), largest_misfit_at=at)
 
 
 @dataclass(frozen=True, eq=False)

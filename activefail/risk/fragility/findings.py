@@ -13,10 +13,21 @@ from activefail.findings.lines import titled
 from activefail.json_text import json_values, named
 from activefail.parameter import Choice
 from activefail.risk.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
-from activefail.risk.fragility.curve import Capacity, Curve, Ladder, Lognormal, Risk, fit_lognormal, why_not_fitted
+from activefail.risk.fragility.curve import (
+    Capacity,
+    Curve,
+    Ladder,
+    Lognormal,
+    Risk,
+    beside,
+    fit_lognormal,
+    why_not_fitted,
+)
 from activefail.risk.fragility.deaggregation import Deaggregation
+from activefail.risk.ida.collapse import CONFIDENCE, Fragility
 from activefail.shares import percent, significant
 from activefail.space import Array
+from activefail.stripes.findings import StripeFindings
 from activefail.visible import or_worse
 
 CAPACITIES = (0.025, 0.10, 0.50)
@@ -33,6 +44,9 @@ _GIVES = "gives intervals from fresh simulations"
 WITHOUT_INTERVAL = "the classifier's number, without an interval"
 
 
+_SMOOTH = " They assume a limit state that is smooth between simulations."
+
+
 @dataclass(frozen=True, eq=False)
 class BoundaryFragility:
     """The fragility of one boundary.
@@ -42,6 +56,8 @@ class BoundaryFragility:
         curve: with the added uncertainties, if there are any.
         alone: the curve of the pulses alone; None without added uncertainty.
         verified: levels with intervals.
+        fit: the lognormal curve of the capacities of finitely many values, with intervals over their groups; None if
+            the curve is of a distribution.
         at_median: by property bound, the probability at the hazard's median; None without a hazard.
         risk: None without annual rates.
         deaggregation: None without a hazard.
@@ -51,6 +67,7 @@ class BoundaryFragility:
     curve: Curve
     alone: Curve | None = None
     verified: tuple[VerifiedLevel, ...] = ()
+    fit: Fragility | None = None
     at_median: Mapping[str, float] | None = None
     risk: Risk | None = None
     deaggregation: Deaggregation | None = None
@@ -62,12 +79,14 @@ class BoundaryFragility:
     @cached_property
     def lognormal(self) -> Lognormal | None:
         """The lognormal curve beside the curve."""
+        if self.fit is not None:
+            return beside(self.curve, self.fit.fit.median, self.fit.fit.dispersion)
         return fit_lognormal(self.curve)
 
     @property
     def is_lognormal(self) -> bool:
         """Whether the lognormal curve is so near that it describes the curve."""
-        return self.lognormal is not None and self.lognormal.largest_misfit <= _NEAR
+        return self.lognormal is not None and (self.fit is not None or self.lognormal.largest_misfit <= _NEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +148,8 @@ class FragilityFindings:
         if why := why_no_risk(self):
             text.append(f"risk       none: {why}")
         text.append(
-            "intervals  shown where fresh simulations give one; every other number is the classifier's, without an "
-            "interval"
+            f"intervals  shown where {'' if self.by_stripes else 'fresh '}simulations give one; every other number is "
+            "the classifier's, without an interval"
             if self.has_verification
             else f"intervals  none: every number is the classifier's; --verify N {self.refused or _GIVES}"
         )
@@ -141,6 +160,11 @@ class FragilityFindings:
     def has_verification(self) -> bool:
         """Whether any level was verified."""
         return any(one.verified for one in self.boundaries)
+
+    @property
+    def by_stripes(self) -> bool:
+        """Whether the verified levels are of finitely many values."""
+        return any(isinstance(level.estimate, StripeFindings) for one in self.boundaries for level in one.verified)
 
     @property
     def assumptions(self) -> list[str]:
@@ -157,7 +181,7 @@ class FragilityFindings:
         if self.has_verification:
             sentences.append(
                 f"The intervals are pointwise: each one alone has {100.0 * self.confidence:g} % confidence; together "
-                "they have less. They assume a limit state that is smooth between simulations."
+                f"they have less.{'' if self.by_stripes else _SMOOTH}"
             )
         curves = np.array([one.curve.probability for one in self.boundaries])
         between = (curves >= 0.01) & (curves <= 0.9)
@@ -176,6 +200,7 @@ class FragilityFindings:
         """The findings as JSON values."""
         return json_values(
             {
+                "version": 2,
                 "question": self.title,
                 "fixed": self.fixed,
                 "variable": named(self.ladder, "name", "unit", "levels"),
@@ -200,7 +225,8 @@ class FragilityFindings:
             "falls": fall and {"by": fall.size, "from": fall.start, "to": fall.end},
             "capacities": [{"probability": p, **at._asdict(), **band._asdict()} for p, at, band in capacities],
             "lognormal": fit
-            and _without_interval(of_fit, **named(fit, "median", "dispersion", "largest_misfit", "largest_misfit_at")),
+            and _without_interval(of_fit, **named(fit, "median", "dispersion", "largest_misfit", "largest_misfit_at"))
+            | _of_capacities(one.fit),
             "lognormal_reason": why_not_fitted(one.curve) or None,
             "verified": [
                 {
@@ -229,6 +255,14 @@ class FragilityFindings:
         return None if level is None or self.median is None else level / self.median
 
 
+def _of_capacities(fit: Fragility | None) -> dict[str, Any]:
+    """The intervals of a lognormal curve of capacities."""
+    if fit is None:
+        return {}
+    ends = {"median_interval": list(fit.median) or None, "dispersion_interval": list(fit.dispersion) or None}
+    return {**ends, "confidence": CONFIDENCE, "interval_reason": "those of median and dispersion are over groups"}
+
+
 def _without_interval(reason: str = WITHOUT_INTERVAL, **numbers: Any) -> dict[str, Any]:
     return {**numbers, "interval": None, "interval_reason": reason}
 
@@ -252,8 +286,7 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
         estimate = level.estimate
         text = (
             f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
-            f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
-            f"simulations, contradictions: {estimate.contradictions}"
+            f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.basis}"
         )
         rows.append(("verified", text))
     return rows + beside_capacities(findings, one)
@@ -270,9 +303,11 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
     if fit is None:
         rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
     else:
+        median, dispersion = ("", "") if one.fit is None else map(_over_groups, (one.fit.median, one.fit.dispersion))
         text = (
-            f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it differs from the curve by up to "
-            f"{100.0 * fit.largest_misfit:.2g} points, at {fit.largest_misfit_at:.3g}{unit}"
+            f"median {fit.median:.3g}{unit}{median}, dispersion {fit.dispersion:.3g}{dispersion}; it differs from the "
+            f"curve by up to {100.0 * fit.largest_misfit:.2g} points, at {fit.largest_misfit_at:.3g}{unit}"
+            f"{'' if one.fit is None else '; its intervals leave out wrong predictions'}"
         )
         rows.append(("lognormal", text))
     if one.alone is not None:
@@ -304,6 +339,12 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
     if one.deaggregation is not None:
         rows += _of_pulses(one.deaggregation)
     return rows
+
+
+def _over_groups(ends: tuple[float, float] | tuple[()]) -> str:
+    if not ends:
+        return " (no interval)"
+    return f" ({' to '.join(map(significant, ends))}, {100.0 * CONFIDENCE:g} %, over groups)"
 
 
 def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
