@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from activefail.current_folder import NUMBA, keep_out
+from activefail.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from activefail.accelerogram_files import read_accelerogram
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from activefail.risk.ida.p695 import MarginRequest
     from activefail.run import Run
     from activefail.seismic.analyses import hazard, ida
-
-__version__ = "0.3.0"
 
 keep_out(NUMBA)
 

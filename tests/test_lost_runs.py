@@ -23,7 +23,7 @@ from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
 from activefail.reliability.estimate import plan_estimate
 from activefail.reliability.hidden import hidden_places
-from activefail.reliability.integral import BoundariesOf, OfBoundary, boundary_of, integrate
+from activefail.reliability.integral import BoundariesOf, OfBoundary, boundary_of, integral_of, integrate
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
 from activefail.surrogate.classifier import Classifier
@@ -190,7 +190,7 @@ def test_all_places_give_the_probability_among_the_designs_that_exist() -> None:
     boundary = boundary_of(learned.classifier, campaign.features, "failure")
     question = Question.of_space(campaign.space)
     quick = classifier_probability(boundary, question, 4096)
-    integral = question.integral(BoundariesOf(learned.classifier, campaign.features), campaign.space)
+    integral = integral_of(question, BoundariesOf(learned.classifier, campaign.features), campaign.space)
     assert quick == pytest.approx(integral.probability[0], rel=0.02)
     assert quick == pytest.approx(float(ndtr(-1.0 / 1.01**0.5)), rel=0.15)
 

@@ -5,8 +5,8 @@ import platform
 from functools import cache
 from importlib.metadata import version
 
-from activefail import __version__
 from activefail.bearing.kernels import compiler_options, physics_digest
+from activefail.version import __version__
 from activefail.visible import visible
 
 BEARING_SOURCES = "bearing_sources"

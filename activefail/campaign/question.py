@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from activefail.shares import feasible_share, percent, records_in_words
 from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
-
-if TYPE_CHECKING:
-    from activefail.reliability.integral import Boundaries, Integral
 
 _SHARE = 2**14
 """Points that estimate which share of a question lies outside the design space."""
@@ -160,19 +157,6 @@ class Question:
     def drawn(self, draw: int, unguided: int = 0) -> "Question":
         """The same question with another independent sample of fresh simulations."""
         return replace(self, draw=draw, unguided=unguided)
-
-    def integral(self, boundaries: "Boundaries", space: DesignSpace, resolution: float = 0.0) -> "Integral":
-        """The share of the question that a campaign's classifier puts beyond each boundary.
-
-        Args:
-            boundaries: of the campaign's designs.
-            space: of the campaign.
-            resolution: standard error of the integration that is small enough, whatever the probability.
-        """
-        from activefail.reliability.integral import integrate
-
-        contains = None if self.is_own else space.spans
-        return integrate(boundaries, self.space, resolution, designs=self.designs, contains=contains)
 
     def share_outside(self, space: DesignSpace) -> float:
         """The share of the question outside a campaign's design space (see `outside`)."""

@@ -171,7 +171,7 @@ def _silence() -> None:
 
 def _show_version(requested: bool) -> None:
     if requested:
-        from activefail import __version__
+        from activefail.version import __version__
 
         print(f"activefail {__version__}")
         raise typer.Exit

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 from markupsafe import Markup
 
-from activefail import __version__
 from activefail.explorer.fields import Values
 from activefail.report.environment import page_environment
+from activefail.version import __version__
 
 Panel = Callable[[Values], str]
 """Makes HTML from a form; raises InputError if a value is invalid."""

@@ -12,7 +12,7 @@ from activefail.findings.lines import titled
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import ModeShare, ProbabilityEstimate
-from activefail.reliability.integral import BoundariesOf, OfBoundary
+from activefail.reliability.integral import BoundariesOf, OfBoundary, integral_of
 from activefail.shares import alike, interval_percent, percent, significant
 from activefail.simulators.interface import limits_of
 from activefail.space import REACH
@@ -135,7 +135,7 @@ class ProbabilityFindings:
         beyond = history.training.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
-        model = question.integral(BoundariesOf(classifier, campaign.features), campaign.space).of(severity - 1)
+        model = integral_of(question, BoundariesOf(classifier, campaign.features), campaign.space).of(severity - 1)
         lost = estimate.lost
         if lost is not None:
             lost = min(model.probability, lost[0]), max(model.probability, lost[1])

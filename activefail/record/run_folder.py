@@ -18,7 +18,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
-from activefail import __version__
 from activefail.errors import InputError, StoreError, SyncError
 from activefail.files import is_temporary, make_folder, replace
 from activefail.record.batch import Schema
@@ -31,6 +30,7 @@ from activefail.record.store import check_asked
 from activefail.simulators.interface import Results
 from activefail.space import Array
 from activefail.trust import read_regular, refuse_links
+from activefail.version import __version__
 from activefail.visible import visible
 
 

@@ -16,6 +16,7 @@ from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
+from activefail.campaign.question import Question
 from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
@@ -214,6 +215,19 @@ def integrate(
     probability = integral.probability / existing.probability
     error = np.hypot(integral.error, probability * existing.error) / existing.probability
     return integral._replace(probability=np.minimum(probability, 1.0), error=error)
+
+
+def integral_of(question: Question, boundaries: Boundaries, space: DesignSpace, resolution: float = 0.0) -> Integral:
+    """The share of a question that a campaign's classifier puts beyond each boundary.
+
+    Args:
+        question: of a campaign.
+        boundaries: of its designs.
+        space: of the campaign.
+        resolution: standard error of the integration that is small enough, whatever the probability.
+    """
+    contains = None if question.is_own else space.spans
+    return integrate(boundaries, question.space, resolution, designs=question.designs, contains=contains)
 
 
 def _integrated(

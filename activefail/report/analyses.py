@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activefail import __version__
 from activefail.campaign.assembly import Campaign
 from activefail.csv_table import writing
 from activefail.figures.risk import (
@@ -40,6 +39,7 @@ from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.sensitivity.findings import SensitivityFindings
 from activefail.shares import bounds_percent, percent, significant
 from activefail.simulators.bearing import DfpSimulator
+from activefail.version import __version__
 from activefail.visible import or_worse
 
 if TYPE_CHECKING:

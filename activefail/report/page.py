@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail import __version__
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
@@ -47,6 +46,7 @@ from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.system import ByMargins
 from activefail.verification.scores import error_in_words
+from activefail.version import __version__
 from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6

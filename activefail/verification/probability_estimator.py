@@ -35,6 +35,7 @@ from activefail.reliability.integral import (
     Standardised,
     boundary_of,
     existence,
+    integral_of,
     integrate,
 )
 from activefail.reliability.modes import (
@@ -224,7 +225,7 @@ class Estimator:
 
     def probability(self, outcome: str, question: Question) -> float:
         """The probability of an outcome or a more severe one by the classifier alone, as every place shows it."""
-        integral = question.integral(self.boundaries, self.campaign.space)
+        integral = integral_of(question, self.boundaries, self.campaign.space)
         return integral.of(self.classifier.outcomes.index(outcome) - 1).probability
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
@@ -361,7 +362,7 @@ class Estimator:
 
         def share(lost: Lost) -> float:
             boundary = BoundariesOf(classifier, self.campaign.features, lost, outcome)
-            return question.integral(boundary, self.campaign.space).of(0).probability
+            return integral_of(question, boundary, self.campaign.space).of(0).probability
 
         return share("none"), share("all")
 

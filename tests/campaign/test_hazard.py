@@ -23,6 +23,7 @@ from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.findings.status import read_status
 from activefail.reliability.estimate import plan_estimate
+from activefail.reliability.integral import integral_of
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.hazard_summary import HazardSummary
@@ -225,7 +226,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
     true = float(ndtr((-0.3 - bias) / math.hypot(0.4, added)))
     for points in (256, 1024):
         assert classifier_probability(fails, asked, points) == pytest.approx(true, abs=0.015)
-    found = asked.integral(lambda X: fails(X)[:, None], TABLE_1)
+    found = integral_of(asked, lambda X: fails(X)[:, None], TABLE_1)
     assert found.probability[0] == pytest.approx(true, abs=0.015)
     (deaggregation,) = deaggregated(
         lambda X: fails(X)[:, None],

@@ -21,6 +21,7 @@ from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
 from activefail.campaign.question import Question
 from activefail.campaign.settings import IF_CALLED, parse_settings
 from activefail.opening import open_run
+from activefail.reliability.integral import integral_of
 from activefail.report.analyses import curves_shown, write_fragility
 from activefail.risk.fragility.band import Interval
 from activefail.risk.fragility.deaggregation import deaggregated
@@ -170,7 +171,7 @@ def test_rare_failures_of_a_capacity_with_added_uncertainty_are_not_missed(tmp_p
         return hazard_question(hazard, space, middles)
 
     hazard = read_hazard(tmp_path / "site.toml")
-    probability = question(hazard).integral(beyond, space).probability
+    probability = integral_of(question(hazard), beyond, space).probability
     (parts,) = deaggregated(beyond, question, hazard, probability)
     true = float(ndtr(-math.log(limit) / math.hypot(0.2, 0.3)))
     assert parts.probability == pytest.approx(true, rel=0.06)

@@ -10,6 +10,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.findings.learned_from import noise_notes
 from activefail.progress import Stage, silent
+from activefail.reliability.integral import integral_of
 from activefail.risk.fragility.band import VerifiedLevel, stored, verify
 from activefail.risk.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.risk.fragility.deaggregation import deaggregated
@@ -100,13 +101,13 @@ def _under_hazard(
         alone, _, _ = curves_on(boundaries, at_level, ladder, space)
     bounds: tuple[Bound, ...] = ("lower", "nominal", "upper") if hazard.settings.properties else ("nominal",)
     at_bounds = {
-        bound: question_at(asked, hazard.at_bound(bound), ladder.name, median)
-        .integral(boundaries, space, RESOLUTION)
-        .probability.tolist()
+        bound: integral_of(
+            question_at(asked, hazard.at_bound(bound), ladder.name, median), boundaries, space, RESOLUTION
+        ).probability.tolist()
         for bound in bounds
     }
     stage("finding the pulses that contribute")
-    whole = asked.question.integral(boundaries, space).probability
+    whole = integral_of(asked.question, boundaries, space).probability
     parts = deaggregated(boundaries, asked.under, hazard, whole)
     rate = curve and Rate(np.array(curve.pgv_m_s), np.array(curve.annual_rate))
     why = "" if ladder.name == PGV else "the hazard's annual rates are those of PGV, not of A_p"

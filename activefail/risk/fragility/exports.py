@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -105,7 +104,7 @@ def files_of(findings: FragilityFindings) -> dict[str, str | Callable[[Path], No
 
     Both programs accept only curves against the intensity of a ground motion.
     """
-    files: dict[str, str | Callable[[Path], None]] = {"fragility.csv": partial(write_curves, findings)}
+    files: dict[str, str | Callable[[Path], None]] = {"fragility.csv": findings.write_table}
     if any(one.deaggregation is not None for one in findings.boundaries):
         files["deaggregation.csv"] = partial(_write_deaggregation, findings)
     files["fragility.json"] = json_text(findings.as_json()) + "\n"
@@ -117,37 +116,6 @@ def files_of(findings: FragilityFindings) -> dict[str, str | Callable[[Path], No
         files[PELICUN] = pelicun_table(ladder, curves, _COMPONENT)
         files[OPENQUAKE] = openquake_model(ladder, curves, _COMPONENT)
     return files
-
-
-def write_curves(findings: FragilityFindings, target: Target) -> None:
-    """Write the curves: a row for each level of the ladder and for each verified level.
-
-    Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
-    curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its interval.
-    Cells are empty where there is no number.
-    """
-    levels = [
-        (level, "ladder", outside) for level, outside in zip(findings.ladder.levels, findings.outside, strict=True)
-    ]
-    levels += [(checked.level, "verified", "") for one in findings.boundaries for checked in one.verified]
-    rows = [_row(findings, *level) for level in sorted(levels, key=lambda level: level[:2])]
-    with writing(target, list(rows[0])) as write:
-        write([list(row.values()) for row in rows])
-
-
-def _row(findings: FragilityFindings, level: float, kind: str, outside: float | str) -> dict[str, Any]:
-    level = findings.ladder.levels.dtype.type(level).item()
-    row: dict[str, Any] = {findings.ladder.name: level, "kind": kind, "outside_design_space": outside}
-    for one in findings.boundaries:
-        name = f"p_{one.outcome}"
-        estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)
-        row[name] = float(one.curve.at(level))
-        row[f"{name}_pulses_alone"] = "" if one.alone is None else float(one.alone.at(level))
-        row[f"{name}_lognormal"] = "" if one.lognormal is None else float(one.lognormal.at(level))
-        row[f"{name}_verified"] = estimate.probability if estimate else ""
-        row[f"{name}_low"] = estimate.low if estimate else ""
-        row[f"{name}_high"] = estimate.high if estimate else ""
-    return row
 
 
 def _write_deaggregation(findings: FragilityFindings, target: Target) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from activefail.bearing.terms import Terms
-from activefail.csv_table import Target
+from activefail.csv_table import Target, writing
 from activefail.findings.lines import titled
 from activefail.json_text import json_values, named
 from activefail.parameter import Choice
@@ -130,10 +130,31 @@ class FragilityFindings:
     exit_code = 0
 
     def write_table(self, target: Target) -> None:
-        """Write the curves as a table (see `exports.write_curves`)."""
-        from activefail.risk.fragility.exports import write_curves
+        """Write the curves: a row for each level of the ladder and for each verified level.
 
-        write_curves(self, target)
+        Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
+        curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its
+        interval. Cells are empty where there is no number.
+        """
+        levels = [(level, "ladder", outside) for level, outside in zip(self.ladder.levels, self.outside, strict=True)]
+        levels += [(checked.level, "verified", "") for one in self.boundaries for checked in one.verified]
+        rows = [self._row(*level) for level in sorted(levels, key=lambda level: level[:2])]
+        with writing(target, list(rows[0])) as write:
+            write([list(row.values()) for row in rows])
+
+    def _row(self, level: float, kind: str, outside: float | str) -> dict[str, Any]:
+        level = self.ladder.levels.dtype.type(level).item()
+        row: dict[str, Any] = {self.ladder.name: level, "kind": kind, "outside_design_space": outside}
+        for one in self.boundaries:
+            name = f"p_{one.outcome}"
+            estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)
+            row[name] = float(one.curve.at(level))
+            row[f"{name}_pulses_alone"] = "" if one.alone is None else float(one.alone.at(level))
+            row[f"{name}_lognormal"] = "" if one.lognormal is None else float(one.lognormal.at(level))
+            row[f"{name}_verified"] = estimate.probability if estimate else ""
+            row[f"{name}_low"] = estimate.low if estimate else ""
+            row[f"{name}_high"] = estimate.high if estimate else ""
+        return row
 
     @property
     def lines(self) -> list[str]:

@@ -11,7 +11,7 @@ from activefail.campaign.hazard import Hazard
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
-from activefail.reliability.integral import Boundaries, Integral
+from activefail.reliability.integral import Boundaries, Integral, integral_of
 from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
@@ -173,7 +173,7 @@ def curves_on(
     """
 
     def integral(level: float) -> Integral:
-        return question_at_level(level).integral(boundaries, space, RESOLUTION)
+        return integral_of(question_at_level(level), boundaries, space, RESOLUTION)
 
     integrals = {level: integral(level) for level in ladder.levels.tolist()}
     for _ in range(0 if ladder.in_steps else _HALVINGS):

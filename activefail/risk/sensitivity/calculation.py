@@ -20,7 +20,7 @@ from activefail.errors import InputError
 from activefail.findings.learned_from import noise_notes
 from activefail.parameter import Parameter
 from activefail.progress import Begin, uncounted
-from activefail.reliability.integral import Boundaries, existence
+from activefail.reliability.integral import Boundaries, existence, integral_of
 from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
 from activefail.risk.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
@@ -119,7 +119,7 @@ def sensitivity(
     advance = begin(evaluations)
 
     def moved(name: str, value: float) -> float:
-        integral = varied.question.at({name: value}).integral(boundaries, campaign.space, RESOLUTION)
+        integral = integral_of(varied.question.at({name: value}), boundaries, campaign.space, RESOLUTION)
         return float(integral.probability[column])
 
     probability, moves = (math.nan, ()) if hazard is None else _moves(varied, moved)
