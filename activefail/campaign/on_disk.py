@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import activefail
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.settings import read_settings, read_toml
@@ -105,7 +104,7 @@ FOLDER = "campaigns"
 
 def shipped_folder() -> Path:
     """The folder of the shipped campaigns: in the installed package, or beside it in a checkout."""
-    package = Path(activefail.__file__).parent
+    package = Path(__file__).parents[1]
     installed = package / FOLDER
     return installed if installed.is_dir() else package.parent / FOLDER
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -14,10 +14,8 @@ from activefail.errors import InputError, naming
 from activefail.parameter import LARGEST, MOST_CARRIED, MOST_CHOICES, Choice, Parameter
 from activefail.trust import path_beside
 
-if TYPE_CHECKING:
-    from activefail.accelerogram_sets import RecordSet
-
-ReadSet = Callable[[str, str, str | None, float | None], "RecordSet"]
+ReadSet = Callable[[str, str, str | None, float | None], Any]
+"""Reads the objects behind a variable with a set: name, place, unit and interval -> `records` and their `digest`."""
 
 _WIDEST = 9.0
 """Largest distance of a bound from the median in standard deviations: the probability beyond is 10⁻¹⁹."""
