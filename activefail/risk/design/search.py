@@ -378,7 +378,7 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
 def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
     """By confidence, the value of the first free variable that it would take, the others held; NaN if out of range.
 
-    It differs from the result by as much as values that the last look alone would give. None for a variable of choices.
+    It differs from the result by as much as values that the last look alone would give. Empty for one of choices.
     """
     task, look, first = designed.task, designed.result, designed.task.free[0]
     model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
