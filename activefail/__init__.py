@@ -3,13 +3,15 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from activefail.current_folder import NUMBA, keep_out
+from activefail.text.current_folder import NUMBA, keep_out
 from activefail.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from activefail.accelerogram_files import read_accelerogram
-    from activefail.accelerogram_sets import RecordSet, SetRecord, read_record_set
-    from activefail.bearing import (
+    from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
+    from activefail.run.opening import create_run, open_run
+    from activefail.run.run import Run
+    from activefail.seismic.analyses import hazard, ida
+    from activefail.seismic.bearing import (
         TABLE_1,
         Accelerogram,
         Bearing,
@@ -22,11 +24,9 @@ if TYPE_CHECKING:
         simulate_one,
         simulate_records,
     )
-    from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
-    from activefail.opening import create_run, open_run
-    from activefail.risk.ida.p695 import MarginRequest
-    from activefail.run import Run
-    from activefail.seismic.analyses import hazard, ida
+    from activefail.seismic.ida.p695 import MarginRequest
+    from activefail.seismic.motions.accelerogram_files import read_accelerogram
+    from activefail.seismic.motions.accelerogram_sets import RecordSet, SetRecord, read_record_set
 
 keep_out(NUMBA)
 
@@ -62,13 +62,13 @@ __all__ = [
 _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "StoreError")
 
 _MODULES = {
-    "read_accelerogram": "accelerogram_files",
-    **dict.fromkeys(("RecordSet", "SetRecord", "read_record_set"), "accelerogram_sets"),
+    "read_accelerogram": "seismic.motions.accelerogram_files",
+    **dict.fromkeys(("RecordSet", "SetRecord", "read_record_set"), "seismic.motions.accelerogram_sets"),
     **dict.fromkeys(("hazard", "ida"), "seismic.analyses"),
-    "MarginRequest": "risk.ida.p695",
-    "Run": "run",
-    "create_run": "opening",
-    "open_run": "opening",
+    "MarginRequest": "seismic.ida.p695",
+    "Run": "run.run",
+    "create_run": "run.opening",
+    "open_run": "run.opening",
     **dict.fromkeys(_ERRORS, "errors"),
 }
 
@@ -76,5 +76,5 @@ _MODULES = {
 def __getattr__(name: str) -> Any:
     # Lazily: the command line shows its help without loading numba.
     if name in __all__:
-        return getattr(import_module(f"activefail.{_MODULES.get(name, 'bearing')}"), name)
+        return getattr(import_module(f"activefail.{_MODULES.get(name, 'seismic.bearing')}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

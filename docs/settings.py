@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from activefail.campaign import hazard_sections, sections, settings, variables
+from activefail.campaign import sections, settings, variables
 from activefail.campaign.settings import CampaignSettings
+from activefail.seismic.hazard import sections as hazard_sections
 
 PAGE = Path(__file__).parent / "reference" / "settings.md"
 

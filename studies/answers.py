@@ -38,18 +38,18 @@ from scipy.stats import norm
 from study import Rows, asked, in_memory
 
 from activefail import create_run, open_run, simulate
-from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.analyses.design.design_task import DesignTask, Requirement
+from activefail.analyses.design.search import find_design
+from activefail.analyses.fragility.curve import Curve, Rate, risk_of
+from activefail.analyses.fragility.levels import curves_on, intensity_ladder
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
+from activefail.estimates.integral import BoundariesOf
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
-from activefail.reliability.integral import BoundariesOf
-from activefail.risk.design.design_task import DesignTask, Requirement
-from activefail.risk.design.search import find_design
-from activefail.risk.fragility.curve import Curve, Rate, risk_of
-from activefail.risk.fragility.levels import curves_on, intensity_ladder
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.hazard.hazard import hazard_of, hazard_question
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.surrogate.threads import one_thread
-from activefail.verification.probability_estimator import Estimator
 
 MAGNITUDES = (6.0, 6.4, 6.8, 7.0, 7.4, 8.0)
 RATES = {"pgv_m_s": [0.2, 0.5, 1.0, 2.0], "annual_rate": [1e-2, 2e-3, 4e-4, 5e-5]}

@@ -38,13 +38,13 @@ import torch
 from study import asked, campaign_of, head, line
 
 import activefail as af
-from activefail.bearing import TABLE_1, simulate
-from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
+from activefail.learning.model.threads import one_thread
 from activefail.loop.running import run as run_loop
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE
+from activefail.seismic.bearing import TABLE_1, simulate
+from activefail.seismic.bearing.outcome import FAILURE, NUMERICAL_FAILURE
 from activefail.simulators.interface import Results
-from activefail.surrogate.threads import one_thread
 
 INITIAL, FLIGHT, ROWS_OF_A_TABLE = 250, 10, 10
 FIRST_SEED = 7000

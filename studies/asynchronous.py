@@ -20,11 +20,11 @@ import time
 import numpy as np
 from study import VirtualTime, asked, campaign_of, head, in_memory, line, uniform
 
-from activefail.comparison.measures import FreshSet, measures
+from activefail.analyses.comparison.measures import FreshSet, measures
 from activefail.execution.local import ThreadExecutor
-from activefail.sample_mean import Estimate
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.ida.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
-from activefail.surrogate.threads import one_thread
 
 FIRST_SEED = 5000
 

@@ -18,12 +18,12 @@ from scipy.special import log_ndtr, ndtri
 from scipy.stats import qmc
 from study import asked, head, line
 
-from activefail.distributions import BOUNDED
-from activefail.features import FeatureMap, feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.learning.features import FeatureMap, feature_map
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.space.distributions import BOUNDED
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SETS = ("design", "normals", "decorrelated")
 

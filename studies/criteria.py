@@ -34,18 +34,18 @@ from problems import Problem, standard, variables
 from scipy.spatial.distance import cdist
 from study import Rows, asked, campaign_of, in_memory, markdown, timed, write_between
 
-from activefail.bearing import simulate
+from activefail.analyses.comparison.measures import log_score, probability_of_truth
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import read_settings
-from activefail.comparison.measures import log_score, probability_of_truth
+from activefail.learning.model.threads import one_thread
 from activefail.loop import learning
 from activefail.loop.history import History
 from activefail.loop.learning import STARTED_AFRESH, learn_from
-from activefail.sample_mean import Estimate
+from activefail.seismic.bearing import simulate
+from activefail.seismic.ida.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import Array
-from activefail.surrogate.threads import one_thread
+from activefail.space.space import Array
 
 METHODS = ("static", "entropy", "joint_entropy", "eavc", "static-continued", "entropy-continued", "gpc", "aepsych")
 BEGIN, END = "<!-- table of studies/criteria.py -->", "<!-- end of the table -->"

@@ -54,18 +54,18 @@ from scipy.stats import t as student
 from study import Rows, asked, campaign_of, head, in_memory, line
 
 from activefail import create_run, open_run, simulate
-from activefail.bearing.pulse import amplitude_of
-from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.analyses.design.design_task import Requirement, design_task
+from activefail.analyses.design.search import find_design
 from activefail.campaign.inquiry import Inquiry
+from activefail.estimates import estimate as importance
+from activefail.estimates.integral import boundary_of
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
-from activefail.reliability import estimate as importance
-from activefail.reliability.integral import boundary_of
-from activefail.risk.design.design_task import Requirement, design_task
-from activefail.risk.design.search import find_design
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.bearing.pulse import amplitude_of
+from activefail.seismic.hazard.hazard import hazard_of, hazard_question
 from activefail.simulators.interface import Results
-from activefail.surrogate.threads import one_thread
-from activefail.verification.probability_estimator import Estimator
-from activefail.weighted import WeightedRows
+from activefail.space.weighted import WeightedRows
 
 TARGETS = (0.10, 0.025)
 POOL, TRUTH, CURVE, SIMULATIONS, REPEATS = 8_000, 10_000, 2_000, 250, 100

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from study import asked, head, line
 
+from activefail.analyses.findings.results import findings_of
 from activefail.campaign.on_disk import open_campaign
-from activefail.explorer.campaign import OneDesign, Slow
-from activefail.findings.results import findings_of
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
-from activefail.surrogate.threads import one_thread
+from activefail.pages.explorer.campaign import OneDesign, Slow
 
 GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation, with its histories as a figure": 300}
 """Within which an answer is felt as at once [ms]."""

@@ -21,9 +21,9 @@ import numpy as np
 from scipy.linalg import null_space
 from study import asked, head, line, percent
 
-from activefail.bearing import TABLE_1, simulate
-from activefail.bearing.outcome import FAILURE, NO_IMPACT
-from activefail.figures.outcome_planes import EXPONENTS, LOGARITHMIC
+from activefail.pages.figures.outcome_planes import EXPONENTS, LOGARITHMIC
+from activefail.seismic.bearing import TABLE_1, simulate
+from activefail.seismic.bearing.outcome import FAILURE, NO_IMPACT
 from activefail.seismic.features import paper_features
 
 COLUMNS = list(LOGARITHMIC)

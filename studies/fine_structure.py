@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from study import asked, head, line, percent, uniform
 
-from activefail.bearing import TABLE_1, simulate
-from activefail.bearing.outcome import FAILURE
 from activefail.campaign.on_disk import open_campaign
 from activefail.loop.learning import current
+from activefail.seismic.bearing import TABLE_1, simulate
+from activefail.seismic.bearing.outcome import FAILURE
 
 DISTANCES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 COPIES = 4

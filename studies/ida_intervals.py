@@ -10,9 +10,9 @@ true median and dispersion, and the number of intervals.
 import numpy as np
 from study import asked, head, line
 
-from activefail.intensity import Intensity
-from activefail.risk.ida.capacity import BISECTIONS, ladder
-from activefail.risk.ida.collapse import fit_lognormal, fitted
+from activefail.seismic.ida.capacity import BISECTIONS, ladder
+from activefail.seismic.ida.collapse import fit_lognormal, fitted
+from activefail.seismic.motions.intensity import Intensity
 
 MEDIAN, DISPERSION = 1.5, 0.4
 

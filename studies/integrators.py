@@ -20,8 +20,8 @@ from numba import njit
 from study import asked, head, line, timed
 from threadpoolctl import threadpool_limits
 
-from activefail.bearing import TABLE_1, Tolerance, integrator, simulate, simulation
-from activefail.bearing.integrator import (
+from activefail.seismic.bearing import TABLE_1, Tolerance, integrator, simulate, simulation
+from activefail.seismic.bearing.integrator import (
     ACCEPTED,
     STEP_UNDERFLOW,
     TOO_MANY_STEPS,
@@ -31,8 +31,17 @@ from activefail.bearing.integrator import (
     root_of,
     step_of,
 )
-from activefail.bearing.kernels import INLINE, KERNEL
-from activefail.bearing.tuples import axpy, axpy_rows, error_sum, factorise, scaled, scaled_rows, solve, weighted
+from activefail.seismic.bearing.kernels import INLINE, KERNEL
+from activefail.seismic.bearing.tuples import (
+    axpy,
+    axpy_rows,
+    error_sum,
+    factorise,
+    scaled,
+    scaled_rows,
+    solve,
+    weighted,
+)
 
 NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
 """Newton's method ends when its error is this share of the tolerance, or fails after this number of iterations."""
@@ -115,7 +124,7 @@ def esdirk(gamma, A, error):
 
 
 def advancing(attempt, order):
-    """`activefail.bearing.integrator.advance` with an attempt that may not converge, and its error estimate's order."""
+    """`integrator.advance` with an attempt that may not converge, and its error estimate's order."""
     root = root_of(order + 1)
 
     @njit(**KERNEL)
@@ -152,7 +161,7 @@ def recompiled(kernel: Any, **changed: Any) -> FunctionType:
 
 
 def rosenbrock(tableau: Tableau) -> Any:
-    """`activefail.bearing.integrator.advance` with another tableau."""
+    """`integrator.advance` with another tableau."""
     changed = {
         "attempt": step_of(tableau),
         "error_root": root_of(tableau.error_order + 1),

@@ -21,9 +21,9 @@ from problems import SETS, problem_of, true_probability
 from scipy.stats import norm
 from study import asked, head, line
 
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import plan_estimate
-from activefail.space import DesignSpace
+from activefail.estimates.estimate import plan_estimate
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 ISOLATED = {0.1: (0.0, 0.002, 0.005), 0.009: (0.0, 0.0018), 0.004: (0.0, 0.0008), 0.0015: (0.0, 0.0003)}
 """Shares of the design space that fail in isolation, by the probability beyond the line."""

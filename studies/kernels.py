@@ -24,11 +24,11 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 from study import asked, uniform
 
-from activefail.bearing import TABLE_1, simulate
-from activefail.features import feature_map
-from activefail.surrogate import likelihoods, sites
-from activefail.surrogate.covariance import JITTER
-from activefail.surrogate.sites import Sites, Whole, solve_sites
+from activefail.learning.features import feature_map
+from activefail.learning.model import likelihoods, sites
+from activefail.learning.model.covariance import JITTER
+from activefail.learning.model.sites import Sites, Whole, solve_sites
+from activefail.seismic.bearing import TABLE_1, simulate
 
 NODES, WEIGHTS = likelihoods._NODES, likelihoods._WEIGHTS
 

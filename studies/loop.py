@@ -43,17 +43,17 @@ from scipy.special import ndtr
 from study import asked, head, timed, uniform
 from study import line as row
 
-from activefail.acquisition.batch_proposal import propose
-from activefail.acquisition.criteria import criterion
-from activefail.bearing import TABLE_1, simulate
-from activefail.bearing.outcome import FAILURE
-from activefail.features import feature_map
-from activefail.surrogate import fitting
-from activefail.surrogate.covariance import JITTER
-from activefail.surrogate.inducing import choose, project
-from activefail.surrogate.latent import Latent
-from activefail.surrogate.sites import Sites, solve_sites
-from activefail.surrogate.threads import one_thread
+from activefail.learning.criteria.batch_proposal import propose
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.features import feature_map
+from activefail.learning.model import fitting
+from activefail.learning.model.covariance import JITTER
+from activefail.learning.model.inducing import choose, project
+from activefail.learning.model.latent import Latent
+from activefail.learning.model.sites import Sites, solve_sites
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.bearing import TABLE_1, simulate
+from activefail.seismic.bearing.outcome import FAILURE
 
 FRESH, BATCH, KERNEL = 4000, 10, "matern52"
 PRIOR = partial(fitting.outcome_prior, KERNEL)

@@ -17,8 +17,8 @@ import torch
 from scipy.special import log_ndtr
 from study import asked, head, line, parallel, timed
 
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.margin import MarginLatent, fit_margin
 
 
 def margin(X):

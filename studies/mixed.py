@@ -40,15 +40,15 @@ from peers import failure_margin
 from problems import Problem, Variables
 from study import Rows, asked, in_memory, markdown, timed, write_between
 
-from activefail.acquisition.batch_proposal import POOL
-from activefail.bearing import TABLE_1, simulate, simulate_records
-from activefail.bearing.outcome import CAUSES, NO_TOUCH
 from activefail.campaign.random_streams import stream
+from activefail.learning.criteria.batch_proposal import POOL
+from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import accuracy, learn_from
-from activefail.sample_mean import Estimate
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.threads import one_thread
+from activefail.seismic.bearing import TABLE_1, simulate, simulate_records
+from activefail.seismic.bearing.outcome import CAUSES, NO_TOUCH
+from activefail.seismic.ida.sample_mean import Estimate
+from activefail.space.space import Array, DesignSpace
 
 SIZES, INITIAL, FRESH, REFITTED = (30, 40, 60), 20, 2_000, 10
 METHODS = ("active", "static", "botorch")

@@ -31,15 +31,15 @@ from scipy.special import log_ndtr, ndtr
 from scipy.stats import t
 from study import Rows, asked, head, in_memory, line, parallel, spread
 
+from activefail.analyses.findings.learned_from import noise_notes
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, checked
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.learned_from import noise_notes
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import plan_estimate
 from activefail.simulators.interface import Results
-from activefail.space import DesignSpace
-from activefail.verification.probability_estimator import Estimator
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 NOISE, BUDGET, FRESH = 0.15, 160, 200
 

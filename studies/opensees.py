@@ -27,11 +27,11 @@ import numpy as np
 from numba import njit
 from study import asked, head, line
 
-from activefail.accelerogram_sets import read_record_set
-from activefail.bearing import TABLE_1, Accelerogram, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.bearing.simulation import FREE_PERIODS
+from activefail.seismic.bearing import TABLE_1, Accelerogram, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.seismic.bearing.simulation import FREE_PERIODS
+from activefail.seismic.motions.accelerogram_sets import read_record_set
 
 PROGRAM = Path(__file__).parents[1] / "campaigns" / "opensees_model.py"
 MODEL = Model()
@@ -83,7 +83,7 @@ def pendulum(length, friction, pulse, free_time, steps=6400):
 
         L φ'' = −g sin φ − ü_g cos φ − μ n sgn φ',    n = L φ'² + g cos φ − ü_g sin φ,    x = L sin φ
 
-    By leapfrog, as `activefail.bearing.sliding`, whose equation is this one's for small φ.
+    By leapfrog, as `activefail.seismic.bearing.sliding`, whose equation is this one's for small φ.
     """
     step = min(pulse.period, 1.0) / steps
     count = math.ceil((2.0 * HALF_DURATION * pulse.period + free_time) / step)

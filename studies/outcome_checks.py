@@ -30,13 +30,13 @@ from problems import SETS, problem_of, true_probability
 from reliability import is_wrong, stopping_campaign
 from study import Rows, asked, head, in_memory, line, timed
 
-from activefail.acquisition.by_margin import LEAST, POINTS, SIZE, doubt, doubtful_population
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.integral import boundary_of, integrate
+from activefail.estimates.model_probability import _paths
+from activefail.learning.criteria.by_margin import LEAST, POINTS, SIZE, doubt, doubtful_population
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import learn_from
 from activefail.loop.probability_rule import Looks, check_designs
-from activefail.reliability.estimate import plan_estimate
-from activefail.reliability.integral import boundary_of, integrate
-from activefail.reliability.model_probability import _paths
-from activefail.surrogate.threads import one_thread
 
 HALF = 1.645
 """Standard deviations in half of a 90 % interval."""

@@ -19,12 +19,12 @@ import numpy as np
 import torch
 from study import asked, timed, uniform
 
-from activefail.acquisition.batch_proposal import propose_shared
-from activefail.acquisition.criteria import criterion
-from activefail.bearing import TABLE_1, simulate
-from activefail.features import feature_map
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.training import train
+from activefail.learning.criteria.batch_proposal import propose_shared
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.features import feature_map
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.training import train
+from activefail.seismic.bearing import TABLE_1, simulate
 
 INITIAL, FRESH = 250, 8000
 

@@ -15,13 +15,13 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.acquisition.batch_proposal import POOL
-from activefail.bearing import TABLE_1
-from activefail.bearing.outcome import FAILURE
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.features import FeatureMap
-from activefail.space import Array, DesignSpace
+from activefail.learning.criteria.batch_proposal import POOL
+from activefail.learning.features import FeatureMap
+from activefail.seismic.bearing import TABLE_1
+from activefail.seismic.bearing.outcome import FAILURE
+from activefail.space.space import Array, DesignSpace
 
 
 class Answers(NamedTuple):

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import ncx2, norm
 from study import campaign_of
 
-from activefail.acquisition.population import population
+from activefail.learning.criteria.population import population
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 ROOT = 2.0**0.5
 

@@ -32,12 +32,12 @@ from reliability import stopping_campaign
 from study import asked, head, in_memory, line
 
 from activefail.campaign.question import Question
-from activefail.reliability.estimate import deviation_of_margins, plan_estimate
-from activefail.reliability.integral import boundary_of, integrate
-from activefail.surrogate.margin import MarginLatent
-from activefail.surrogate.threads import one_thread
-from activefail.verification.mode_check import check_of, places_of_check
-from activefail.verification.probability_estimator import Sampled
+from activefail.estimates.estimate import deviation_of_margins, plan_estimate
+from activefail.estimates.integral import boundary_of, integrate
+from activefail.estimates.mode_check import check_of, places_of_check
+from activefail.estimates.probability_estimator import Sampled
+from activefail.learning.model.margin import MarginLatent
+from activefail.learning.model.threads import one_thread
 
 FRESH, REPEATS, REPEATS_OF_OUTCOMES, TRUTH = 50, 5, 20, 4_000_000
 

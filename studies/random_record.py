@@ -19,14 +19,14 @@ import numpy as np
 from noise import FRESH
 from study import Rows, asked, head, in_memory, line, parallel, spread, timed
 
-from activefail.accelerogram_sets import read_record_set
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, checked
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
-from activefail.intensity import spectral_acceleration
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.motions.accelerogram_sets import read_record_set
+from activefail.seismic.motions.intensity import spectral_acceleration
 from activefail.simulators.interface import Results
-from activefail.surrogate.threads import one_thread
-from activefail.verification.probability_estimator import Estimator
 
 PERIODS = np.geomspace(0.4, 2.5, 24)
 VARIABLES = {

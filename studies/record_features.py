@@ -16,16 +16,16 @@ import numpy as np
 import torch
 from study import asked, head, line, timed
 
-from activefail.bearing import TABLE_1, simulate_records
-from activefail.bearing import outcome as o
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import read_settings
-from activefail.features import CustomFeatures, feature_map
-from activefail.intensity import spectral_acceleration
-from activefail.risk.ida.collapse import jackknife
-from activefail.risk.ida.equivalent_pulse import equivalent_pulse
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.training import train
+from activefail.learning.features import CustomFeatures, feature_map
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.training import train
+from activefail.seismic.bearing import TABLE_1, simulate_records
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.ida.collapse import jackknife
+from activefail.seismic.ida.equivalent_pulse import equivalent_pulse
+from activefail.seismic.motions.intensity import spectral_acceleration
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 BEARING = TABLE_1.names[:7]

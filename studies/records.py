@@ -20,8 +20,8 @@ from opensees import compare, under_records
 from study import asked, markdown, timed, write_between
 
 import activefail
-from activefail.accelerogram_sets import read_record_set
-from activefail.bearing import (
+from activefail.seismic.analyses import ida
+from activefail.seismic.bearing import (
     TABLE_1,
     Accelerogram,
     Bearing,
@@ -32,11 +32,11 @@ from activefail.bearing import (
     simulate_one,
     simulate_records,
 )
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.intensity import Intensity
-from activefail.risk.ida.capacity import BISECTIONS, LEVELS, ladder
-from activefail.seismic.analyses import ida
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.seismic.ida.capacity import BISECTIONS, LEVELS, ladder
+from activefail.seismic.motions.accelerogram_sets import read_record_set
+from activefail.seismic.motions.intensity import Intensity
 
 BEARINGS = {
     "3 s": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],

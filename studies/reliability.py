@@ -44,13 +44,13 @@ import numpy as np
 from problems import SETS, problem_of, true_probability
 from study import Rows, VirtualTime, asked, head, in_memory, line, parallel, spread, timed
 
-from activefail.acquisition.population import population
+from activefail.estimates.estimate import deviation_of_margins, plan_estimate
+from activefail.estimates.integral import boundary_of, integrate
+from activefail.learning.criteria.population import population
+from activefail.learning.model.margin import MarginLatent
+from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
-from activefail.reliability.estimate import deviation_of_margins, plan_estimate
-from activefail.reliability.integral import boundary_of, integrate
-from activefail.surrogate.margin import MarginLatent
-from activefail.surrogate.threads import one_thread
 
 FRESH = (25, 50)
 

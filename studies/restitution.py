@@ -10,9 +10,9 @@ Capacity: the lowest of 48 amplitudes, with equal ratios from 0.05 to 1.6 g, at 
 import numpy as np
 from study import asked
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, simulate, simulate_one
-from activefail.bearing.motion import Motion
-from activefail.bearing.outcome import FAILURE, IMPACT
+from activefail.seismic.bearing import TABLE_1, Bearing, Model, Pulse, simulate, simulate_one
+from activefail.seismic.bearing.motion import Motion
+from activefail.seismic.bearing.outcome import FAILURE, IMPACT
 
 AMPLITUDES = np.geomspace(0.05, 1.6, 48)
 

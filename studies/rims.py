@@ -28,8 +28,8 @@ from scipy.optimize import brentq
 from study import Rows, asked, head, line, spread, timed, uniform
 
 from activefail import ida
-from activefail.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.seismic.bearing import TABLE_1, Model, Tolerance, simulate
+from activefail.seismic.hazard.hazard import hazard_of, hazard_question
 
 G = 9.81
 SCALE = np.array([0.1, 0.1, 0.2, 0.025, 0.025, 1.0, 1.0, 2.0, 0.25, 0.25, 0.01, 0.01, 0.01, 0.01])

@@ -13,15 +13,15 @@ import numpy as np
 from problems import BENCHMARK
 from study import asked
 
-from activefail.acquisition.batch_proposal import propose_shared
-from activefail.acquisition.criteria import criterion as criterion_of
 from activefail.campaign.random_streams import stream
+from activefail.learning.criteria.batch_proposal import propose_shared
+from activefail.learning.criteria.criteria import criterion as criterion_of
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.threads import one_thread
+from activefail.learning.model.training import train
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs
 from activefail.loop.proposing import next_designs
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.threads import one_thread
-from activefail.surrogate.training import train
 
 INITIAL, BATCH, BATCHES = 30, 5, 6
 

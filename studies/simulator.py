@@ -29,15 +29,15 @@ from study import asked, head, timed
 from study import line as row_of
 from threadpoolctl import threadpool_limits
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate
-from activefail.bearing import outcome as o
-from activefail.bearing.barrier import Barrier, barrier
-from activefail.bearing.contact import Plate
-from activefail.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, energy, equilibrium, system
-from activefail.bearing.ground import Ricker
-from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
-from activefail.bearing.simulation import FREE_PERIODS, SCALE_Q, SCALE_V, simulate_one
-from activefail.bearing.tuples import axpy
+from activefail.seismic.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.bearing.barrier import Barrier, barrier
+from activefail.seismic.bearing.contact import Plate
+from activefail.seismic.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, energy, equilibrium, system
+from activefail.seismic.bearing.ground import Ricker
+from activefail.seismic.bearing.pulse import HALF_DURATION, impulse_to_come
+from activefail.seismic.bearing.simulation import FREE_PERIODS, SCALE_Q, SCALE_V, simulate_one
+from activefail.seismic.bearing.tuples import axpy
 
 PEERS = (LSODA, BDF, Radau)
 PEER_TOLERANCES = (1e-4, 1e-5, 1e-6)
@@ -98,7 +98,7 @@ def look(t, y, p):
 
 @njit(error_model="numpy")
 def settled(t, touched, stored, constants, levels):
-    """Whether the outcome is settled, as in `activefail.bearing.simulation`."""
+    """Whether the outcome is settled, as in `activefail.seismic.bearing.simulation`."""
     if not touched and t <= HALF_DURATION * constants.motion.period:
         return False
     reach = levels.failure if touched else min(levels.touch, levels.failure)
@@ -148,7 +148,7 @@ def problem(row):
 
 
 def solve(solver, row, relative):
-    """One design by one of SciPy's solvers, by the rules of `activefail.bearing.simulation`."""
+    """One design by one of SciPy's solvers, by the rules of `activefail.seismic.bearing.simulation`."""
     began = time.process_time()
     constants, levels, end = problem(row)
     p = pack(constants)

@@ -45,27 +45,27 @@ import numpy as np
 from scipy.special import ndtr
 from study import asked, head, in_memory, line, percent, spread
 
-from activefail.accelerogram_sets import read_record_set
+from activefail.analyses.design.by_stripes import STEPS, design_by_stripes
+from activefail.analyses.design.design_task import Requirement, design_task
+from activefail.analyses.fragility.by_stripes import fragility_by_stripes
+from activefail.analyses.fragility.levels import ladder_of
+from activefail.analyses.stripes.intervals import Checked, of_others
+from activefail.analyses.stripes.stripe import Stripe, Stripes
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.finite import FiniteValues
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import asked_of
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import current
-from activefail.risk.design.by_stripes import STEPS, design_by_stripes
-from activefail.risk.design.design_task import Requirement, design_task
-from activefail.risk.fragility.by_stripes import fragility_by_stripes
-from activefail.risk.fragility.levels import ladder_of
-from activefail.risk.ida.by_campaign import capacities_by_campaign
-from activefail.risk.ida.capacity import BISECTIONS, LEVELS, capacities
-from activefail.risk.ida.collapse import fit_lognormal
-from activefail.risk.ida.simulations import CampaignSubject, Ground
+from activefail.seismic.ida.by_campaign import capacities_by_campaign
+from activefail.seismic.ida.capacity import BISECTIONS, LEVELS, capacities
+from activefail.seismic.ida.collapse import fit_lognormal
+from activefail.seismic.ida.simulations import CampaignSubject, Ground
+from activefail.seismic.motions.accelerogram_sets import read_record_set
 from activefail.simulators.interface import Results
-from activefail.stripes.intervals import Checked, of_others
-from activefail.stripes.stripe import Stripe, Stripes
-from activefail.surrogate.threads import one_thread
 
 HERE = Path(__file__).parent
 BEARING = ("T_b", "mu", "D_tot", "h_sl_ratio", "h_rim_ratio", "p", "k")
@@ -119,7 +119,7 @@ class Simulated:
 
 
 def bearing_fails(X):
-    from activefail.bearing import simulate_records
+    from activefail.seismic.bearing import simulate_records
 
     T_b, mu, D_tot, record, pgv = X.T
     return simulate_records(rows_of(T_b, mu, D_tot), scaled(record, pgv), threads=1).outcome == 2
@@ -127,7 +127,7 @@ def bearing_fails(X):
 
 def features(X, space):
     """The design, the velocity, and the two cheap models under the record."""
-    from activefail.bearing.record_features import record_features
+    from activefail.seismic.bearing.record_features import record_features
 
     motions, _, velocities = records()
     T_b, mu, D_tot, record, pgv = space.table(X, tuple(RECORDS)).T

@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from activefail.bearing import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.classifier import Classifier
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.probability_rule import Looks
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.record.store import Store
-from activefail.surrogate.classifier import Classifier
+from activefail.seismic.bearing import TABLE_1
 
 
 def asked(doc, words=None, **defaults):

@@ -37,18 +37,18 @@ from problems import PART, PARTS, ROOT, Variables, standard, variables
 from reliability import is_wrong, wrong_shares
 from study import Rows, asked, head, in_memory, line, parallel, spread, timed
 
-from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
+from activefail.estimates.integral import boundary_of
+from activefail.estimates.modes import Events
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
-from activefail.reliability.integral import boundary_of
-from activefail.reliability.modes import Events
+from activefail.learning.criteria.population import population
+from activefail.learning.model.threads import one_thread
 from activefail.simulators.interface import Results
-from activefail.space import Array
-from activefail.surrogate.threads import one_thread
-from activefail.systems import System, parse_system
-from activefail.verification.probability_estimator import Estimator
+from activefail.space.space import Array
+from activefail.space.systems import System, parse_system
 
 FRESH = 50
 

@@ -19,13 +19,13 @@ import numpy as np
 from problems import BENCHMARK
 from study import asked, campaign_of, in_memory
 
+from activefail.estimates.confidence_bounds import StratifiedCount
+from activefail.estimates.error import allotted, verify
+from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import accuracy
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.surrogate.threads import one_thread
-from activefail.verification.confidence_bounds import StratifiedCount
-from activefail.verification.error import allotted, verify
-from activefail.verification.probability_estimator import Estimator
 
 FIRST_SEED, MOST = 4000, 600
 

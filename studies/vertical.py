@@ -10,10 +10,10 @@ loss of confinement at once where the vertical motion is nearly none and the hor
 import numpy as np
 from study import asked
 
-from activefail.bearing import TABLE_1, Accelerogram, Model, Tolerance, simulate_records
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.outcome import CAUSES, FAILURE
-from activefail.bearing.pulse import ground_acceleration
+from activefail.seismic.bearing import TABLE_1, Accelerogram, Model, Tolerance, simulate_records
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.outcome import CAUSES, FAILURE
+from activefail.seismic.bearing.pulse import ground_acceleration
 
 DT, SECONDS = 0.01, 15.0
 

@@ -65,7 +65,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before processes side by side would each compile it, and say that they do."""
     if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
-        from activefail.bearing import TABLE_1, simulate
+        from activefail.seismic.bearing import TABLE_1, simulate
 
         simulate(TABLE_1.from_unit([[0.5] * 9]))
 
@@ -172,4 +172,4 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture
 def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write pages without their pictures, for a claim about words: drawing takes most of a page's time."""
-    monkeypatch.setattr("activefail.figures.svg._as_svg", lambda figure: "<svg></svg>")
+    monkeypatch.setattr("activefail.pages.figures.svg._as_svg", lambda figure: "<svg></svg>")

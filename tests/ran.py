@@ -10,11 +10,11 @@ from campaign.stub import Disc, disc
 from activefail import create_run
 from activefail.campaign.assembly import Campaign
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.threads import one_thread
 
 
 def ran_in(home: Path, campaign: str, code: str) -> Path:

@@ -8,9 +8,9 @@ import pytest
 from commandline import activefail, refused
 
 from activefail import read_accelerogram
-from activefail.accelerogram_files import UNITS, doubts
-from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.motions.accelerogram_files import UNITS, doubts
 
 HEADER = "PEER NGA STRONG MOTION DATABASE RECORD\nNorthridge, 1994\nACCELERATION TIME SERIES IN UNITS OF G\n"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activefail.accelerogram_sets import read_record_set
-from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.motions.accelerogram_sets import read_record_set
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ from commandline import activefail, table
 from scipy.linalg import eigh
 
 from activefail import simulate_one
-from activefail.bearing import Accelerogram, Bearing, Pulse, Response
-from activefail.bearing.dynamics import equilibrium, static_contact
-from activefail.bearing.pulse import ground_acceleration
+from activefail.seismic.bearing import Accelerogram, Bearing, Pulse, Response
+from activefail.seismic.bearing.dynamics import equilibrium, static_contact
+from activefail.seismic.bearing.pulse import ground_acceleration
 from activefail.simulators.user_code import load_function
-from activefail.space import Array
+from activefail.space.space import Array
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 TABLE = ("T_b", "mu", "D_tot", "h_sl_ratio", "h_rim_ratio", "p", "k")

@@ -16,21 +16,21 @@ from ran import ran_in
 from scipy.stats import norm
 
 from activefail import create_run, open_run
+from activefail.analyses.design.design_task import DesignTask, Requirement, design_task
+from activefail.analyses.design.search import cheapest
+from activefail.analyses.sensitivity.calculation import sensitivity
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
-from activefail.csv_table import Table
 from activefail.errors import InputError
-from activefail.features import feature_map
-from activefail.figures.outcome_planes import coordinates, marks_in, plot_outcome_planes
-from activefail.parameter import Parameter
-from activefail.risk.design.design_task import DesignTask, Requirement, design_task
-from activefail.risk.design.search import cheapest
-from activefail.risk.sensitivity.calculation import sensitivity
+from activefail.learning.features import feature_map
+from activefail.pages.figures.outcome_planes import coordinates, marks_in, plot_outcome_planes
+from activefail.seismic.hazard.hazard import hazard_of, hazard_question
 from activefail.simulators.returned import designs_by_name
-from activefail.space import DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
+from activefail.text.csv_table import Table
 
 SOIL = Parameter.of_choices("soil", ("A", "B", "soft clay"), (0.2, 0.5, 0.3))
 DEPTH = Parameter.of_choices("depth", (0.5, 0.75, 2.0), unit="m")

@@ -22,8 +22,7 @@ from cases import some
 from commandline import CommandResult, activefail, holding, record, refused, sets, started, table, wait_for
 from patience import PATIENCE, Clock, until
 
-from activefail import Run, __version__, display, open_run
-from activefail.bearing import TABLE_1
+from activefail import Run, __version__, open_run
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import read_settings
@@ -31,12 +30,14 @@ from activefail.cli import app
 from activefail.cli.common import shown_warnings
 from activefail.errors import InputError, TableWarning
 from activefail.execution.local import ThreadExecutor
-from activefail.interrupts import stop_on_signals
 from activefail.loop.progress import Observer
 from activefail.loop.running import run as run_loop
 from activefail.record.run_folder import FolderStore
-from activefail.session import estimating
-from activefail.shares import percent
+from activefail.seismic.bearing import TABLE_1
+from activefail.session import display
+from activefail.session.interrupts import stop_on_signals
+from activefail.session.session import estimating
+from activefail.space.shares import percent
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
 
@@ -663,7 +664,7 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
     assert (tmp_path / "out" / "comparison.md").exists()
     assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
     # The same pictures would be drawn each time.
-    monkeypatch.setattr("activefail.report.analyses.save_png_and_svg", lambda *drawn: [])
+    monkeypatch.setattr("activefail.pages.report.analyses.save_png_and_svg", lambda *drawn: [])
     assert activefail(*words, "--out", tmp_path / "out") == CommandResult(0, result.out, "")
     shown = json.loads(activefail(*words, "--out", tmp_path / "out", "--json").out)
     assert shown["page"] == str(tmp_path / "out" / "comparison.md")
@@ -806,7 +807,7 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
     folder = tmp_path / "run"
     words = ("run", long[0], "--out", folder, "--workers", "2")
     # Five batches are done, of the sixth two simulations are.
-    with holding("activefail.simulators.bearing:DfpSimulator.run", *words, passing=27) as running:
+    with holding("activefail.seismic.simulator:DfpSimulator.run", *words, passing=27) as running:
         process = running.process
         running.wait(2)
         process.send_signal(number)
@@ -836,7 +837,7 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
     )
     words = ("run", tmp_path / "long.toml", "--out", tmp_path / "run", "--workers", "2")
-    with holding("activefail.simulators.bearing:DfpSimulator.run", *words) as running:
+    with holding("activefail.seismic.simulator:DfpSimulator.run", *words) as running:
         process = running.process
         running.wait(2)
         process.send_signal(first)
@@ -925,7 +926,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
         threading.Event().wait(PATIENCE)
         pytest.fail("nothing came")
 
-    monkeypatch.setattr("activefail.paper.study.run_study", compiling)
+    monkeypatch.setattr("activefail.seismic.paper.study.run_study", compiling)
     result = activefail("paper", "--out", tmp_path / "paper")
     assert (result.code, result.err) == (130, "stopped; nothing was saved. Run the same command to start over.\n")
 
@@ -953,7 +954,7 @@ def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], N
 @pytest.mark.parametrize("place", some(["simulated", "study_draw"], "simulated"))
 def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, place: str) -> None:
     words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
-    with holding(f"activefail.paper.study:{place}", *words) as running:
+    with holding(f"activefail.seismic.paper.study:{place}", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "stopped; nothing was saved. Run the same command to start over."
@@ -963,7 +964,7 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
 @pytest.mark.faults
 def test_a_ctrl_c_while_a_campaign_starts_says_how_to_continue(tiny: Path, tmp_path: Path) -> None:
     words = ("run", tiny, "--out", tmp_path / "run")
-    with holding("activefail.findings.ending:stop_messages", *words) as running:
+    with holding("activefail.analyses.findings.ending:stop_messages", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1].endswith(f"Continue with: activefail resume {tmp_path / 'run'}")
@@ -975,7 +976,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 ) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.analyses.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
     assert (

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from ran import ran_in
 
 from activefail import open_run
-from activefail.acquisition.population import population
+from activefail.analyses.findings.results import predict
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.figures.outcome_planes import coordinates
-from activefail.findings.results import predict
+from activefail.learning.criteria.population import population
+from activefail.pages.figures.outcome_planes import coordinates
 
 SPACE = """
 simulator = { python = "mine:gap", margins = ["margin"] }

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from activefail.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, harmless, rereadable, writing
 from activefail.errors import InputError
-from activefail.parameter import Parameter
-from activefail.space import Array, DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
+from activefail.text.csv_table import ROWS_AT_ONCE, DesignTable, Kept, Table, harmless, rereadable, writing
 
 SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
 

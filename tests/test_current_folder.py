@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from commandline import activefail
 
-from activefail.bearing.kernels import folder_of_kernels
+from activefail.seismic.bearing.kernels import folder_of_kernels
 
 STORED = Path(__file__).parent / "stored_run" / "paper"
 DESIGN = ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--h-sl-ratio", "0.8", "--h-rim-ratio", "0.1"]
@@ -117,7 +117,7 @@ def test_a_relative_cache_in_the_environment_is_none(tmp_path: Path, monkeypatch
 
 @pytest.mark.parametrize("imports", ["import activefail", "import numba, activefail", "import activefail, numba"])
 def test_numba_compiles_with_the_options_of_the_environment_alone(imports: str, foreign: Path) -> None:
-    code = f"{imports}\nfrom activefail.bearing.kernels import compiler_options\nimport numba\n"
+    code = f"{imports}\nfrom activefail.seismic.bearing.kernels import compiler_options\nimport numba\n"
     code += "numba.njit(lambda x: x + 1.0)(2.0)\nprint(compiler_options())"
     assert run_in(foreign, code).stdout == "defaults\n"
     assert run_in(foreign, code, NUMBA_OPT="1").stdout == "NUMBA_OPT=1\n"

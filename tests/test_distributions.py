@@ -12,10 +12,10 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.running import run
-from activefail.parameter import Parameter
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.space import Array, DesignSpace, nataf_factor, radius
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace, nataf_factor, radius
 
 # The same distributions by their own parameters, and as SciPy has them.
 OWN: dict[str, tuple[dict[str, float], Any]] = {

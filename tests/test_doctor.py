@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail import bearing, diagnosis
 from activefail.__main__ import program
+from activefail.cli import diagnosis
+from activefail.seismic import bearing
 
 
 def lines(text: str) -> dict[str, str]:

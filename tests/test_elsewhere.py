@@ -97,7 +97,7 @@ def simulated(designs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _margins() -> tuple[str, ...]:
-    from activefail.bearing.outcome import COLUMNS
+    from activefail.seismic.bearing.outcome import COLUMNS
 
     return tuple(COLUMNS)
 
@@ -741,7 +741,7 @@ def test_designs_whose_table_cannot_be_written_are_named(
         yield io.StringIO()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("activefail.csv_table.replacing", full)
+    monkeypatch.setattr("activefail.text.csv_table.replacing", full)
     said = activefail("ask", folder, "--n", "2", "--csv", tmp_path / "todo.csv")
     assert said.code == 2
     assert "2 designs, ids 10 to 11, are in flight; `activefail ask" in said.err

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from activefail.errors import InputError
-from activefail.expressions import parse_expression
-from activefail.features import ExpressionFeatures, feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
+from activefail.learning.features import ExpressionFeatures, feature_map
+from activefail.space.expressions import parse_expression
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 VALUES = {"A_p": 0.7, "T_p": 1.3, "D": 0.9}
 

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from activefail.bearing import TABLE_1, Model
-from activefail.bearing.collision import collision_features
-from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
-from activefail.features import CustomFeatures, feature_map
-from activefail.parameter import Parameter
+from activefail.learning.features import CustomFeatures, feature_map
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.learning.model.training import train
+from activefail.seismic.bearing import TABLE_1, Model
+from activefail.seismic.bearing.collision import collision_features
+from activefail.seismic.bearing.sliding import sliding_features
 from activefail.seismic.features import PAPER_FEATURES, paper_features
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin import MarginLatent, fit_margin
-from activefail.surrogate.training import train
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
 DESIGN = (4.0, 0.06, 0.6, 0.8, 0.1, 50.0, 2e9, 2.0, 0.4)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from activefail.json_text import json_text, json_values
+from activefail.text.json_text import json_text, json_values
 
 
 class Ends(NamedTuple):

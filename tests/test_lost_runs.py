@@ -10,30 +10,30 @@ from commandline import activefail
 from explorer.conftest import site_of
 from scipy.special import ndtr
 
+from activefail.analyses.classifier_probability import classifier_probability
+from activefail.analyses.findings.estimates import ProbabilityFindings
+from activefail.analyses.findings.summary import where_lost
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
+from activefail.estimates.error import expected_error, verify
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.hidden import hidden_places
+from activefail.estimates.integral import BoundariesOf, OfBoundary, boundary_of, integral_of, integrate
+from activefail.estimates.probability_estimator import Estimator, Existing
+from activefail.estimates.surface import verify_surface
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.estimates import ProbabilityFindings
-from activefail.findings.summary import where_lost
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
 from activefail.loop.running import run
-from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import plan_estimate
-from activefail.reliability.hidden import hidden_places
-from activefail.reliability.integral import BoundariesOf, OfBoundary, boundary_of, integral_of, integrate
-from activefail.risk.classifier_probability import classifier_probability
+from activefail.run.opening import open_run
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin import MarginLatent, fit_margin
-from activefail.surrogate.threads import one_thread
-from activefail.verification.error import expected_error, verify
-from activefail.verification.probability_estimator import Estimator, Existing
-from activefail.verification.surface import verify_surface
-from activefail.weighted import WeightedRows
+from activefail.space.weighted import WeightedRows
 
 DIES_BELOW = -2.0
 IF_NONE, IF_ALL = 1.42e-3, 0.0241

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
-from activefail.opening import open_run
+from activefail.run.opening import open_run
 
 SPACE = """
 [space]

@@ -10,32 +10,32 @@ import pytest
 from commandline import activefail
 from scipy.special import ndtr
 
+from activefail.analyses.design.design_task import Requirement, design_task
+from activefail.analyses.design.findings import DesignFindings
+from activefail.analyses.design.search import Candidate, Designed, Look
+from activefail.analyses.findings.estimates import ProbabilityFindings
+from activefail.analyses.findings.learned_from import choices_in_words, known_in_words, saved_choices
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.errors import InputError, SimulationError
+from activefail.estimates.integral import BoundariesOf
+from activefail.estimates.probability_estimator import Estimator
+from activefail.estimates.surface import score
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.estimates import ProbabilityFindings
-from activefail.findings.learned_from import choices_in_words, known_in_words, saved_choices
+from activefail.learning.model.state import classifier_state
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import current, learn_from
 from activefail.loop.running import run
 from activefail.loop.telling import add
-from activefail.opening import open_run
-from activefail.progress import silent
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import BoundariesOf
-from activefail.risk.design.design_task import Requirement, design_task
-from activefail.risk.design.findings import DesignFindings
-from activefail.risk.design.search import Candidate, Designed, Look
+from activefail.run.opening import open_run
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import Results
-from activefail.surrogate.state import classifier_state
-from activefail.verification.probability_estimator import Estimator
-from activefail.verification.surface import score
-from activefail.weighted import WeightedRows
+from activefail.space.weighted import WeightedRows
+from activefail.text.progress import silent
 
 NOISE = 0.15
 FRESH = np.random.default_rng(3).random((500, 2))

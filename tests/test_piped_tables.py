@@ -13,8 +13,8 @@ from cases import some
 from commandline import CommandResult, activefail, refused, table
 
 import activefail as af
-from activefail.display import campaign_display
 from activefail.errors import InputError
+from activefail.session.display import campaign_display
 
 MODEL = """
 import numpy as np

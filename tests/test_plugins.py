@@ -55,7 +55,7 @@ def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_pa
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: levee\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[activefail.plugins]\nlevee = levee\n")
     (tmp_path / "levee.py").write_text(
-        "from activefail.analysis import option\n\n\n"
+        "from activefail.run.analysis import option\n\n\n"
         "def flood(height: float = option(1.0, 'Height of the water [m].', low=0.0)) -> None:\n"
         "    '''Say whether a levee holds.'''\n"
         "    print('holds' if height < 3.0 else 'fails')\n\n\n"

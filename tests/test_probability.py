@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import beta
 
+from activefail.analyses.findings.estimates import rounded_up, upper_bound
+from activefail.analyses.findings.status import estimate_of, read_status
 from activefail.cli.analyses import site_of
 from activefail.errors import InputError
-from activefail.explorer.jobs import Jobs
-from activefail.findings.estimates import rounded_up, upper_bound
-from activefail.findings.status import estimate_of, read_status
-from activefail.opening import open_run
+from activefail.pages.explorer.jobs import Jobs
+from activefail.pages.report.environment import probability
 from activefail.record.run_folder import FolderStore
-from activefail.report.environment import probability
-from activefail.shares import alike
+from activefail.run.opening import open_run
+from activefail.space.shares import alike
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}

@@ -11,14 +11,14 @@ from commandline import activefail, refused, sets
 from explorer.conftest import site_of
 from scipy.special import ndtr
 
+from activefail.analyses.findings.estimates import bound_of_fresh
 from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
-from activefail.findings.estimates import bound_of_fresh
-from activefail.opening import open_run
-from activefail.reliability.estimate import plan_estimate
-from activefail.verification.probability_estimator import Estimator, Sampled
-from activefail.weighted import WeightedRows
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.probability_estimator import Estimator, Sampled
+from activefail.run.opening import open_run
+from activefail.space.weighted import WeightedRows
 
 CAMPAIGN = """
 simulator = { python = "limit:plane", margins = ["g"] }

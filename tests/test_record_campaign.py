@@ -15,17 +15,17 @@ from stripes.test_stripes import Stopping
 
 import activefail as af
 from activefail import create_run, open_run
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.record_features import record_features
+from activefail.analyses.findings.tables import designs_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.features import CustomFeatures, feature_map
-from activefail.findings.tables import designs_of
-from activefail.intensity import Intensity
-from activefail.motions import MEASURES, Motions
+from activefail.learning.features import CustomFeatures, feature_map
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.record_features import record_features
+from activefail.seismic.motions.intensity import Intensity
+from activefail.seismic.motions.motions import MEASURES, Motions
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 
@@ -36,7 +36,7 @@ EVENTS = ("Alpha 1990", "Alpha 1990", "Beta 1994", "Beta 1994", "Gamma 1999", "G
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The shipped campaign on a folder of synthetic records, as a user would copy and change it."""
     # Coarse: the features are computed for every candidate, and their accuracy is no claim of a campaign.
-    monkeypatch.setattr("activefail.bearing.record_features.STEPS", 50)
+    monkeypatch.setattr("activefail.seismic.bearing.record_features.STEPS", 50)
     (tmp_path / "mine").mkdir()
     rows = ["file,unit,event,dt"]
     for seed, event in enumerate(EVENTS):
@@ -260,7 +260,7 @@ def test_a_simulator_is_pickled_without_its_records_which_a_process_reads_once(
     assert len(pickle.dumps(simulator)) < 5000
     record = simulator.space.parameters[1].payload()[0]
     assert record.motion.acceleration.nbytes > 0
-    monkeypatch.setattr("activefail.motions.read_record_set", lambda *_: pytest.fail("read again"))
+    monkeypatch.setattr("activefail.seismic.motions.motions.read_record_set", lambda *_: pytest.fail("read again"))
     X = simulator.space.latin_hypercube(8, np.random.default_rng(0))
     assert loaded.run(X).outcome.tolist() == simulator.run(X).outcome.tolist()
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import activefail as af
 from activefail.errors import BusyError, InputError
-from activefail.shares import percent
+from activefail.space.shares import percent
 
 PLATE = """
 def run(design):

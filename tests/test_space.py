@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.stats import qmc
 
-from activefail import space
-from activefail.bearing import TABLE_1
 from activefail.errors import InputError
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
+from activefail.seismic.bearing import TABLE_1
+from activefail.space import space
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("x", -2.0, 3.0, "m"), Parameter("k", 2.5e8, 50e8), Parameter("mu", 0.02, 0.12)))
 

@@ -14,8 +14,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import values_of
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 PLATE = Parameter("plate", 4.0, 12.0, "mm", step=0.5)
 STOREYS = Parameter("storeys", 1.0, 5.0, step=1.0)

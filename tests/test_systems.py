@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from activefail.simulators.interface import NotFiniteError, UnusableAnswerError
 from activefail.simulators.returned import read_answer
-from activefail.systems import parse_system
+from activefail.space.systems import parse_system
 
 NAMES = ["bending", "shear", "drift"]
 

@@ -17,12 +17,12 @@ from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
 from activefail.campaign.variables import SetVariable
 from activefail.errors import InputError, description_of, place_of
-from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
-from activefail.motions import Motions, read_motions
-from activefail.names import FeatureSet
+from activefail.learning.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
+from activefail.learning.names import FeatureSet
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
-from activefail.simulators.bearing import DfpSimulator
+from activefail.seismic.motions.motions import Motions, read_motions
+from activefail.seismic.simulator import DfpSimulator
 from activefail.simulators.code_folder import sha256
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.elsewhere import ElsewhereSimulator
@@ -39,8 +39,8 @@ from activefail.simulators.user_code import (
     SIMULATOR_KEY,
     load_function,
 )
-from activefail.space import Array, DesignSpace
-from activefail.systems import System
+from activefail.space.space import Array, DesignSpace
+from activefail.space.systems import System
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds", "folder")
 """Columns of activefail's tables besides variables, fixed quantities and margins."""

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
 from activefail.errors import InputError, SimulationError
-from activefail.space import Array, DesignSpace
-from activefail.weighted import WeightedRows
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows
 
 MOST = 5000
 """Most values of a question."""

@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
-from activefail.acquisition.population import integration_points
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
 from activefail.campaign.question import (
     AMPLITUDE,
     PERIOD,
@@ -20,10 +18,12 @@ from activefail.campaign.question import (
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import checked, read_toml
 from activefail.errors import InputError, naming
-from activefail.files import path_of
+from activefail.learning.criteria.population import integration_points
+from activefail.seismic.hazard.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
 from activefail.simulators.interface import Simulator
-from activefail.space import DesignSpace
-from activefail.weighted import WeightedRows
+from activefail.space.space import DesignSpace
+from activefail.space.weighted import WeightedRows
+from activefail.text.files import path_of
 
 _CHECKED = 256
 """Designs of a question on which its values are checked."""

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING, Any
 
 from activefail.campaign.variables import SetVariable
 from activefail.errors import InputError
-from activefail.files import replacing
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS
 from activefail.simulators.code_folder import sha256
 from activefail.simulators.user_code import SIMULATOR_KEY, digest_without_running, lies_in
-from activefail.trust import read_regular
+from activefail.text.files import replacing
+from activefail.text.trust import read_regular
 from activefail.visible import quoted
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.settings import read_settings, read_toml
 from activefail.errors import InputError, StoreError, naming
-from activefail.files import writing_to
 from activefail.record.layout import JOURNAL, SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
+from activefail.text.files import writing_to
 
 
 def read_campaign(

@@ -5,7 +5,7 @@ import platform
 from functools import cache
 from importlib.metadata import version
 
-from activefail.bearing.kernels import compiler_options, physics_digest
+from activefail.seismic.bearing.kernels import compiler_options, physics_digest
 from activefail.version import __version__
 from activefail.visible import visible
 

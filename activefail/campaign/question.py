@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from activefail.campaign.hazard_sections import LARGEST_MEDIAN, LARGEST_VELOCITY
 from activefail.campaign.section import shown
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import read_toml
 from activefail.campaign.variables import Choices, FixedVariable, SetVariable, Variable
 from activefail.errors import InputError, naming
-from activefail.numerals import number_in
-from activefail.parameter import Parameter
-from activefail.shares import feasible_share, percent, records_in_words
-from activefail.space import LEAST_FEASIBLE, Array, DesignSpace, radius
+from activefail.seismic.hazard.sections import LARGEST_MEDIAN, LARGEST_VELOCITY
+from activefail.space.parameter import Parameter
+from activefail.space.shares import feasible_share, percent, records_in_words
+from activefail.space.space import LEAST_FEASIBLE, Array, DesignSpace, radius
+from activefail.space.weighted import WeightedRows, weighted_quantiles
+from activefail.text.numerals import number_in
 from activefail.visible import visible
-from activefail.weighted import WeightedRows, weighted_quantiles
 
 _SHARE = 2**14
 """Points that estimate which share of a question lies outside the design space."""
@@ -128,7 +128,7 @@ class Question:
         columns = {name: np.full(len(X), value) for name, value in self.fixed.items()}
         columns |= dict(zip(self.space.names, X.T, strict=True))
         if _replaces_amplitude(columns, self.variables):
-            from activefail.bearing.pulse import amplitude_of
+            from activefail.seismic.bearing.pulse import amplitude_of
 
             columns[AMPLITUDE] = amplitude_of(columns[PGV], columns[PERIOD])
         return np.column_stack([columns[name] * self.factors.get(name, 1.0) for name in self.variables])
@@ -167,7 +167,7 @@ class Question:
 
         Estimated by 16,384 points of a scrambled Sobol' sequence.
         """
-        from activefail.acquisition.population import integration_points
+        from activefail.learning.criteria.population import integration_points
 
         U, weight = integration_points(self.space, _SHARE)
         return Outside(self.designs(U), weight, space)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Table, may_be
 from activefail.errors import InputError, naming
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
-from activefail.space import Array, DesignSpace
+from activefail.space.space import Array, DesignSpace
+from activefail.text.csv_table import Table, may_be
 
 _ID, _OUTCOME, _CAUSE, _SECONDS = "id", "outcome", "cause", "seconds"
 

@@ -6,17 +6,23 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from activefail.bearing.design import RELATIVE_TOLERANCES, WIDEST_REGULARISATION, WIDEST_SLIDER, Model, Tolerance
 from activefail.campaign.section import NAME, WITH, Section, built, by_key, name_or
 from activefail.campaign.variables import AnyVariable, FixedVariable
-from activefail.names import Criterion, FeatureSet, Kernel
-from activefail.parameter import LARGEST
+from activefail.learning.names import Criterion, FeatureSet, Kernel
+from activefail.seismic.bearing.design import (
+    RELATIVE_TOLERANCES,
+    WIDEST_REGULARISATION,
+    WIDEST_SLIDER,
+    Model,
+    Tolerance,
+)
 from activefail.simulators.interface import EXECUTION_CAUSES, ExecutionCause
-from activefail.systems import System, parse_system
+from activefail.space.parameter import LARGEST
+from activefail.space.systems import System, parse_system
 
 
 class BearingSettings(Section):
-    """Settings of the double friction pendulum (`activefail.bearing.Model` and `Tolerance`).
+    """Settings of the double friction pendulum (`activefail.seismic.bearing.Model` and `Tolerance`).
 
     Attributes:
         slider_diameter: D_sl [m], which Table 1 does not contain.
@@ -366,7 +372,7 @@ class ExpressionFeaturesSettings(Section):
     """Custom features: arithmetic expressions of the variables.
 
     Attributes:
-        expressions: expressions by feature name (`activefail.expressions`).
+        expressions: expressions by feature name (`activefail.space.expressions`).
         variables: whether the variables precede the expressions' columns.
     """
 

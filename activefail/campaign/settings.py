@@ -10,7 +10,6 @@ import numpy as np
 import tomli_w
 from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator, model_validator
 
-from activefail.bearing.design import TABLE_1
 from activefail.campaign.broken_rules import broken_rule
 from activefail.campaign.section import NAME, WITH, Section, by_key
 from activefail.campaign.sections import (
@@ -34,9 +33,10 @@ from activefail.campaign.sections import (
 )
 from activefail.campaign.variables import AnyVariable, FixedVariable, ReadSet, SetVariable, Variable
 from activefail.errors import InputError
-from activefail.expressions import parse_constraint
-from activefail.space import Constraint, DesignSpace, radius
-from activefail.trust import read_regular
+from activefail.seismic.bearing.design import TABLE_1
+from activefail.space.expressions import parse_constraint
+from activefail.space.space import Constraint, DesignSpace, radius
+from activefail.text.trust import read_regular
 from activefail.visible import visible
 
 _STRONG = 0.9

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from activefail.campaign.section import NAME, NUMBER, RANGE, WITH, Section, built, by_key, name_or, shown
-from activefail.csv_table import Table
-from activefail.distributions import PARAMETERS, Distribution
 from activefail.errors import InputError, naming
-from activefail.parameter import LARGEST, MOST_CARRIED, MOST_CHOICES, Choice, Parameter
-from activefail.trust import path_beside
+from activefail.space.distributions import PARAMETERS, Distribution
+from activefail.space.parameter import LARGEST, MOST_CARRIED, MOST_CHOICES, Choice, Parameter
+from activefail.text.csv_table import Table
+from activefail.text.trust import path_beside
 
 ReadSet = Callable[[str, str, str | None, float | None], Any]
 """Reads the objects behind a variable with a set: name, place, unit and interval -> `records` and their `digest`."""
@@ -50,17 +50,17 @@ class Entry(Section):
         Args:
             name: of the variable.
             folder: of the campaign file.
-            read_set: reads the records of a set (`activefail.motions.read_motions`), which loads the bearing's kernels;
-                None if it must have them, because it may come from someone else.
+            read_set: reads the records of a set; None if the table must have them, because it may come from someone
+                else.
         """
         return self
 
 
 class Variable(Entry):
-    """One variable of the design space: its distribution and its bounds (`activefail.space.Parameter`).
+    """One variable of the design space: its distribution and its bounds (`activefail.space.space.Parameter`).
 
     Distributions are stated by mean and sd, by mean and coefficient of variation, or by their own parameters
-    (`activefail.distributions`). Only uniform, log-uniform, truncated normal and beta variables need bounds.
+    (`activefail.space.distributions`). Only uniform, log-uniform, truncated normal and beta variables need bounds.
 
     Attributes:
         low: lower bound, in the unit of the variable. It truncates a distribution that needs no bounds.
@@ -213,7 +213,7 @@ class Choices(Entry):
 
 
 _MEASURE = re.compile(r"factor|pga|pgv|sa:(\d+(?:\.\d+)?)")
-"""An intensity to which records are scaled (`activefail.intensity`)."""
+"""An intensity to which records are scaled (`activefail.seismic.motions.intensity`)."""
 
 
 class SetVariable(Entry):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from activefail.analyses import design, fragility, probability, report, sensitivity, verify
 from activefail.cli.analyses import command_of, explore
 from activefail.cli.app import Command, app, main, program
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status
@@ -12,6 +11,7 @@ from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.options import with_options
 from activefail.cli.studies import compare
 from activefail.plugins import brought
+from activefail.run.analyses import design, fragility, probability, report, sensitivity, verify
 
 _EXAMPLES: dict[Callable[..., None], str] = {
     campaigns: "--copy mine",

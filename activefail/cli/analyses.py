@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
-from activefail.analysis import REQUIRED, Option, declared, option
 from activefail.cli.common import (
     STANDARD,
     AsJson,
@@ -25,18 +24,19 @@ from activefail.cli.common import (
     table_output,
 )
 from activefail.cli.options import Parameters, parameters_of, sign
-from activefail.display import progress_bar
 from activefail.errors import InputError
-from activefail.files import writing_to
-from activefail.progress import uncounted
+from activefail.run.analysis import REQUIRED, Option, declared, option
+from activefail.session.display import progress_bar
+from activefail.text.files import writing_to
+from activefail.text.progress import uncounted
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.explorer.jobs import Jobs
-    from activefail.explorer.pages import Site
-    from activefail.report.evidence import Curve
-    from activefail.run import Run
-    from activefail.surrogate.classifier import Classifier
+    from activefail.learning.model.classifier import Classifier
+    from activefail.pages.explorer.jobs import Jobs
+    from activefail.pages.explorer.pages import Site
+    from activefail.pages.report.evidence import Curve
+    from activefail.run.run import Run
 
 
 def command_of(function: Callable[..., Any]) -> dict[Callable[..., None], str]:
@@ -118,11 +118,11 @@ def _value(name: str, words: dict[str, Any], of: Option, out: Path | None, is_gi
 
 def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = "") -> "Site":
     """The explorer's site of a run folder."""
-    from activefail.explorer.campaign import Slow
-    from activefail.explorer.site import CampaignSite
-    from activefail.findings.results import findings_of
-    from activefail.session import predicting
-    from activefail.surrogate.threads import one_thread_from_now_on
+    from activefail.analyses.findings.results import findings_of
+    from activefail.learning.model.threads import one_thread_from_now_on
+    from activefail.pages.explorer.campaign import Slow
+    from activefail.pages.explorer.site import CampaignSite
+    from activefail.session.session import predicting
 
     with opened_run(folder, code=code) as opened:
         # What is shown at first needs predictions alone.
@@ -135,7 +135,7 @@ def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = ""
         return opened
 
     def curve() -> "Curve | None":
-        from activefail.report.evidence import curve_of
+        from activefail.pages.report.evidence import curve_of
 
         return curve_of(learning().campaign, opened.store)[0]
 
@@ -156,10 +156,10 @@ def explore(
 
     By default only this machine can connect, and only with the token in the printed address.
     """
-    from activefail.explorer.jobs import Jobs
-    from activefail.explorer.runs import Runs, run_folders
-    from activefail.explorer.server import ExplorerServer
-    from activefail.surrogate.threads import one_thread_of_blas
+    from activefail.learning.model.threads import one_thread_of_blas
+    from activefail.pages.explorer.jobs import Jobs
+    from activefail.pages.explorer.runs import Runs, run_folders
+    from activefail.pages.explorer.server import ExplorerServer
 
     with one_thread_of_blas(), Jobs() as jobs:
         if run_folders(folder):

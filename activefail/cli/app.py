@@ -12,11 +12,11 @@ from typing import Annotated, Any, NoReturn, TextIO
 import typer
 from typer.core import TyperCommand
 
-from activefail.current_folder import MATPLOTLIB, keep_out
-from activefail.display import is_verbose
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
-from activefail.interrupts import INTERRUPTED, end_without_waiting, repeating_missed_ctrl_c
-from activefail.screen import OUTPUT, visible_output
+from activefail.session.display import is_verbose
+from activefail.session.interrupts import INTERRUPTED, end_without_waiting, repeating_missed_ctrl_c
+from activefail.text.current_folder import MATPLOTLIB, keep_out
+from activefail.text.screen import OUTPUT, visible_output
 
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress; results, notes and warnings remain.")]
 

@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from activefail.analyses import EXECUTOR, SCHEDULER, WORKERS
-from activefail.analysis import REQUIRED, option
-from activefail.arguments import executor_named
 from activefail.cli.common import (
     STANDARD,
     AsJson,
@@ -26,15 +23,18 @@ from activefail.cli.common import (
     table_input,
     table_output,
 )
-from activefail.display import progress_bar
 from activefail.errors import InputError
-from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
+from activefail.run.analyses import EXECUTOR, SCHEDULER, WORKERS
+from activefail.run.analysis import REQUIRED, option
+from activefail.session.arguments import executor_named
+from activefail.session.display import progress_bar
+from activefail.session.interrupts import INTERRUPTED
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from activefail.execution.executor import AsynchronousExecutor
-    from activefail.run import Run
+    from activefail.run.run import Run
 
 TO_CREATE: Any = option(REQUIRED, "Run folder to create.", Path)
 SEED: Any = option(None, "Random seed; overrides the file's.", int)
@@ -51,7 +51,7 @@ def run(
     scheduler: str | None = SCHEDULER,
 ) -> None:
     """Run a new campaign."""
-    from activefail.opening import campaign_for, create_run
+    from activefail.run.opening import campaign_for, create_run
 
     check_output("--out", out)
     assembled = campaign_for(out, campaign, seed, budget)
@@ -150,7 +150,7 @@ def _take(
 
 def status(folder: RunFolder, as_json: AsJson = False) -> None:
     """Show the progress of a campaign; safe while it runs."""
-    from activefail.findings.status import read_status
+    from activefail.analyses.findings.status import read_status
 
     current = read_status(folder)
     show_warnings(current.warnings)

@@ -21,7 +21,7 @@ def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
     Shows variables, simulator, outcome, margins and time. The two results must agree, unless the file says with
     `simulator.repeatable` whether they do. No run folder is created.
     """
-    from activefail.opening import campaign_for
+    from activefail.run.opening import campaign_for
     from activefail.simulators.command import CommandSimulator
 
     folder, keeps = Path(tempfile.mkdtemp(prefix="activefail-check-")), False
@@ -42,10 +42,10 @@ def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
 
 def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
-    from activefail.motions import Motions
-    from activefail.shares import choices_with_shares, feasible_share
+    from activefail.seismic.motions.motions import Motions
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.function import PythonSimulator
+    from activefail.space.shares import choices_with_shares, feasible_share
 
     simulator, space = campaign.simulator, campaign.space
     for one in space.parameters:

@@ -10,18 +10,18 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.display import is_quiet, is_verbose
 from activefail.errors import InputError, TableWarning
-from activefail.json_text import json_text
 from activefail.record.layout import check_output
-from activefail.screen import table_stream
+from activefail.session.display import is_quiet, is_verbose
+from activefail.text.json_text import json_text
+from activefail.text.screen import table_stream
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.analysis import Findings
-    from activefail.csv_table import Target
-    from activefail.findings.summary import Summary
-    from activefail.run import Run
+    from activefail.analyses.findings.summary import Summary
+    from activefail.run.analysis import Findings
+    from activefail.run.run import Run
+    from activefail.text.csv_table import Target
 
 
 def _shipped(incomplete: str) -> list[str]:
@@ -129,7 +129,7 @@ def opened_run(
     folder: Path, *, write: bool = False, code: Path | None = None, simulates: bool | None = None
 ) -> Iterator["Run"]:
     """Open a run folder and print the warnings of its record (see `open_run`)."""
-    from activefail.opening import open_run
+    from activefail.run.opening import open_run
 
     with open_run(folder, write=write, code=code, simulates=simulates) as run:
         show_warnings(run.store.new_warnings())

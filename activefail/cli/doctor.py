@@ -13,7 +13,7 @@ def doctor(as_json: AsJson = False) -> None:
     Shows versions, cores, extras and compiled kernels, and runs a self-test. It takes a second once the simulator is
     compiled.
     """
-    from activefail.diagnosis import diagnosis, versions
+    from activefail.cli.diagnosis import diagnosis, versions
 
     found = []
     for finding in diagnosis():

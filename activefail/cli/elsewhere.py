@@ -5,7 +5,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from activefail.analysis import REQUIRED, option
 from activefail.cli.campaigns import BUDGET, SEED, TO_CREATE
 from activefail.cli.common import (
     STANDARD,
@@ -21,14 +20,15 @@ from activefail.cli.common import (
     table_output,
 )
 from activefail.errors import InputError
-from activefail.numerals import counted
 from activefail.record.layout import check_output
+from activefail.run.analysis import REQUIRED, option
+from activefail.text.numerals import counted
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from activefail.run import Run
+    from activefail.run.run import Run
 
 NAMES: Any = option(
     None,
@@ -48,7 +48,7 @@ def create(
 ) -> None:
     """Create a run folder without simulating anything."""
     from activefail.campaign.continuing import ask_command, continue_command
-    from activefail.opening import campaign_for, create_run
+    from activefail.run.opening import campaign_for, create_run
 
     check_output("--out", out)
     with create_run(out, campaign_for(out, campaign, seed, budget)) as created:
@@ -70,8 +70,8 @@ def ask(
     code: Code = None,
 ) -> None:
     """Hand out designs to be simulated elsewhere."""
-    from activefail.csv_table import writing
-    from activefail.parameter import exact
+    from activefail.space.parameter import exact
+    from activefail.text.csv_table import writing
 
     with (
         table_output("--csv", csv) as target,
@@ -111,7 +111,7 @@ def _check_replaceable(path: Path, run: "Run") -> None:
     Raises:
         InputError: if `tell` would record results of it, or refuses it and it is no table of designs alone.
     """
-    from activefail.csv_table import likely_header
+    from activefail.text.csv_table import likely_header
 
     if path.is_dir():
         raise InputError(f"--csv: {path} is a folder.")

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from activefail.analysis import REQUIRED, Option
 from activefail.cli.app import Quiet, Verbose, set_level
+from activefail.run.analysis import REQUIRED, Option
 
 Parameters = dict[str, tuple[Any, Any]]
 """The parameters of a command by name: annotation and default, from which typer makes its options."""

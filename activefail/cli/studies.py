@@ -7,11 +7,11 @@ from typing import Any
 
 import typer
 
-from activefail.analysis import REQUIRED, Findings, option
 from activefail.cli.common import AsJson, Code, opened_run, show_findings, show_stage, show_unseen
 from activefail.errors import InputError
-from activefail.interrupts import INTERRUPTED, stop_on_signals
 from activefail.record.layout import check_output
+from activefail.run.analysis import REQUIRED, Findings, option
+from activefail.session.interrupts import INTERRUPTED, stop_on_signals
 from activefail.visible import visible
 
 
@@ -80,8 +80,8 @@ def compare(
 
 def _over_seeds(out: Path, jobs: int | None, *plan: Any) -> Findings:
     """The comparison of a campaign file (see `ComparisonPlan.of`)."""
-    from activefail.comparison.seeds import ComparisonPlan
-    from activefail.report.comparison import run_comparison
+    from activefail.analyses.comparison.seeds import ComparisonPlan
+    from activefail.pages.report.comparison import run_comparison
 
     asked = ComparisonPlan.of(*plan)
     try:

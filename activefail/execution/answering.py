@@ -21,7 +21,7 @@ from activefail.simulators.interface import (
     settled,
     unanswered,
 )
-from activefail.space import Array
+from activefail.space.space import Array
 from activefail.visible import visible
 
 LONGEST_MESSAGE = 2000

@@ -16,7 +16,7 @@ from activefail.execution.executor import Arrived
 from activefail.execution.guards import Guards
 from activefail.execution.local import taken
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, design_in_words, unanswered
-from activefail.space import Array
+from activefail.space.space import Array
 
 if TYPE_CHECKING:
     from distributed import Future

@@ -12,9 +12,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from activefail.progress import Begin
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
-from activefail.space import Array
+from activefail.space.space import Array
+from activefail.text.progress import Begin
 
 Arrived = Callable[[int, Results], None]
 """Called with the results of consecutive rows as soon as they are there: the first of these rows, and their results."""

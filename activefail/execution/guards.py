@@ -25,7 +25,7 @@ from activefail.simulators.interface import (
     design_in_words,
     unanswered,
 )
-from activefail.space import Array
+from activefail.space.space import Array
 
 TRIES = 2
 """Attempts at one simulation before it is abandoned."""

@@ -13,7 +13,7 @@ from activefail.execution.answering import answer, finished
 from activefail.execution.executor import Arrived
 from activefail.execution.guards import Guards
 from activefail.simulators.interface import Results, Simulator, unanswered
-from activefail.space import Array
+from activefail.space.space import Array
 
 _WAIT = 0.5
 """Longest wait for a result before pending signals are handled [s]."""

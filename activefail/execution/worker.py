@@ -7,8 +7,8 @@ from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
 
-from activefail.current_folder import MATPLOTLIB, keep_out
 from activefail.errors import ActivefailError
+from activefail.text.current_folder import MATPLOTLIB, keep_out
 
 _connection: Connection | None = None
 """To the program; None in a process that is no worker."""

@@ -11,7 +11,7 @@ from activefail.loop.stop_rule import noted
 from activefail.record.asked import NEVER, Asked
 from activefail.record.batch import CHECK, INITIAL
 from activefail.record.store import Store
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True)

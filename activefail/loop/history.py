@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from activefail.record.batch import GIVEN, INITIAL, Batch
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True, eq=False)

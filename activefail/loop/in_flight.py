@@ -11,7 +11,7 @@ from activefail.loop.initial import initial_designs
 from activefail.record.asked import Asked, are_among
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
-from activefail.space import Array
+from activefail.space.space import Array
 
 _LEAST = 2
 """Designs of the initial design that are asked in any case: bounds without a classifier rest on them."""

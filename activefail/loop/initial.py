@@ -5,7 +5,7 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 def initial_size(campaign: Campaign, history: History) -> int:

@@ -9,6 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.fitting import MakePrior, condition, fit
+from activefail.learning.model.latent import CustomModel, Latent, Learner, VariationalGP
+from activefail.learning.model.likelihoods import Probit
+from activefail.learning.model.state import classifier_from_state, classifier_state
+from activefail.learning.model.training import train
 from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, looked, looks_from_state, looks_state
 from activefail.loop.saved_learning import code_state, margins_of, restore
@@ -16,13 +22,7 @@ from activefail.loop.stop_rule import how_met, note_met
 from activefail.record.store import Store
 from activefail.simulators.interface import is_impossible
 from activefail.simulators.user_code import KERNEL_KEY, LEARNER_KEYS, LIKELIHOOD_KEY, MODEL_KEY
-from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.fitting import MakePrior, condition, fit
-from activefail.surrogate.latent import CustomModel, Latent, Learner, VariationalGP
-from activefail.surrogate.likelihoods import Probit
-from activefail.surrogate.state import classifier_from_state, classifier_state
-from activefail.surrogate.training import train
+from activefail.space.space import Array
 
 STARTED_AFRESH = 250
 """Most simulations for which hyperparameters are learned from several starts: 0.1 to 0.5 s for each further one.

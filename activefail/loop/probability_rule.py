@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.acquisition.by_margin import SIZE
-from activefail.acquisition.population import finite
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.errors import DamagedError
+from activefail.estimates.hidden import contradictions, designs_of_check, hidden_places, is_whole
+from activefail.estimates.integral import BoundariesOf
+from activefail.estimates.mode_check import margin_of
+from activefail.estimates.model_probability import model_probability
+from activefail.learning.criteria.by_margin import SIZE
+from activefail.learning.criteria.population import finite
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.system import ByMargins
 from activefail.loop.history import History
 from activefail.record.batch import CHECK
-from activefail.reliability.hidden import contradictions, designs_of_check, hidden_places, is_whole
-from activefail.reliability.integral import BoundariesOf
-from activefail.reliability.model_probability import model_probability
-from activefail.shares import lognormal_interval
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import REACH, Array
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.system import ByMargins
-from activefail.verification.mode_check import margin_of
+from activefail.space.shares import lognormal_interval
+from activefail.space.space import REACH, Array
 
 _BETWEEN = 4
 """Fewest simulations between the two looks that must agree."""

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
+from activefail.estimates.confidence_bounds import unseen_outcomes
 from activefail.execution.executor import Arrived, AsynchronousExecutor
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN
 from activefail.simulators.interface import Results, Simulator, is_impossible
-from activefail.space import Array
-from activefail.verification.confidence_bounds import unseen_outcomes
+from activefail.space.space import Array
 
 if TYPE_CHECKING:
+    from activefail.estimates.error import ErrorEstimate
     from activefail.loop.probability_rule import Looks
-    from activefail.verification.error import ErrorEstimate
 
 
 @dataclass(frozen=True)

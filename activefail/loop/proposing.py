@@ -7,10 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from activefail.acquisition.batch_proposal import Search, best_batch, propose_shared
-from activefail.acquisition.criteria import Choosing, criterion, custom_criterion
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
+from activefail.estimates.confidence_bounds import unseen_outcomes
+from activefail.learning.criteria.batch_proposal import Search, best_batch, propose_shared
+from activefail.learning.criteria.criteria import Choosing, criterion, custom_criterion
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.system import ByMargins
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Learned, learner_of
@@ -18,10 +21,7 @@ from activefail.loop.probability_rule import check_designs, needs_check
 from activefail.record.asked import are_among
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.simulators.user_code import CRITERION_KEY, LEARNER_KEYS
-from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.system import ByMargins
-from activefail.verification.confidence_bounds import unseen_outcomes
+from activefail.space.space import Array
 
 WIDENING = 2.0
 """Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.errors import InputError, SimulationError
+from activefail.estimates.error import verify_by_rule
+from activefail.estimates.probability_estimator import Estimator
+from activefail.estimates.scores import CurvePoint, remember_point, score
+from activefail.estimates.stored_sets import VALIDATION, first_fault_text, simulated_set
 from activefail.execution.executor import AsynchronousExecutor
+from activefail.learning.model.threads import one_thread
 from activefail.loop.asking import ask
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
@@ -28,12 +33,7 @@ from activefail.record.store import Store
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.simulators.repeats import IF_DIFFERENT, differences
-from activefail.space import Array
-from activefail.surrogate.threads import one_thread
-from activefail.verification.error import verify_by_rule
-from activefail.verification.probability_estimator import Estimator
-from activefail.verification.scores import CurvePoint, remember_point, score
-from activefail.verification.stored_sets import VALIDATION, first_fault_text, simulated_set
+from activefail.space.space import Array
 
 _WAIT = 0.5
 """Seconds between checks for a stop request."""

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError, InputError
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.margin_choice import LearnableMargins
+from activefail.learning.model.saved import SavedClassifier, saved_classifier
 from activefail.loop.history import History
 from activefail.record.store import Store
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin_choice import LearnableMargins
-from activefail.surrogate.saved import SavedClassifier, saved_classifier
 
 Used = TypeVar("Used")
 
@@ -85,7 +85,7 @@ def predicting(campaign: Campaign, classifier: Classifier, history: History) -> 
     """A classifier of a history for predictions alone, with the bits of `saved_current`; itself if it is custom."""
     if campaign.settings.classifier.is_custom:
         return classifier
-    from activefail.surrogate.state import classifier_state
+    from activefail.learning.model.state import classifier_state
 
     return _saved(campaign, classifier_state(classifier), history)
 

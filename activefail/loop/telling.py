@@ -19,7 +19,7 @@ from activefail.record.batch import GIVEN, Batch
 from activefail.record.labels import Labels, new_labels
 from activefail.record.store import NOTHING, Remembered, Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
-from activefail.space import Array
+from activefail.space.space import Array
 
 _CORRECTING = "to replace it: `tell --correct`, or `correct=True` in Python"
 

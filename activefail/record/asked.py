@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.record.batch import ACTIVE, CHECK, INITIAL, LARGEST_ID
-from activefail.space import Array
+from activefail.space.space import Array
 
 NEVER = -1
 """In place of the iteration that a proposal learned from, for a design of the initial design."""

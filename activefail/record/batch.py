@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 INITIAL = 0
 """Origin of a design of the initial design."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from activefail.errors import InputError
 from activefail.record.batch import Batch, Schema, answers_of, results_of
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from activefail.errors import BusyError, DamagedError, InputError, StoreError
-from activefail.files import refused, sync_file, sync_folder, write_all
 from activefail.record.events import Entry, Event, pack, unpack
 from activefail.record.layout import JOURNAL, QUARANTINE
-from activefail.trust import read_regular
+from activefail.text.files import refused, sync_file, sync_folder, write_all
+from activefail.text.trust import read_regular
 
 FORMAT = 2
 """Version of the journal and of what its events mean."""

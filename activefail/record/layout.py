@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from activefail.errors import InputError, StoreError
-from activefail.trust import refuse_links
+from activefail.text.trust import refuse_links
 
 SETTINGS = "campaign.toml"
 """The frozen copy of the settings."""

@@ -18,7 +18,7 @@ from activefail.record.corrections import Corrections, correct_batches, correcti
 from activefail.record.events import Event, is_bounded, of_arrays
 from activefail.record.store import NOTHING, Remembered, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 class MemoryStore:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from activefail.errors import InputError, StoreError, SyncError
-from activefail.files import is_temporary, make_folder, replace
 from activefail.record.batch import Schema
 from activefail.record.checkpoint import LARGEST_CHECKPOINT, States, decode, encode, load_hdf5
 from activefail.record.events import Event
@@ -28,8 +27,9 @@ from activefail.record.layout import CHECKPOINT, JOURNAL, LARGEST_SETTINGS, RESE
 from activefail.record.memory import MemoryStore
 from activefail.record.store import check_asked
 from activefail.simulators.interface import Results
-from activefail.space import Array
-from activefail.trust import read_regular, refuse_links
+from activefail.space.space import Array
+from activefail.text.files import is_temporary, make_folder, replace
+from activefail.text.trust import read_regular, refuse_links
 from activefail.version import __version__
 from activefail.visible import visible
 

@@ -12,7 +12,7 @@ from activefail.record.asked import Asked
 from activefail.record.batch import Batch, Schema
 from activefail.record.corrections import Corrections
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 Remembered = Mapping[tuple[str, ...], Any]
 """Computed results: values of JSON by what they are of."""

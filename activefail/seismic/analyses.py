@@ -3,32 +3,32 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from activefail.analyses import EXECUTOR, FIXED, SCHEDULER, WORKERS
-from activefail.analysis import REQUIRED, Option, analysis, option
-from activefail.arguments import executor_named
 from activefail.errors import InputError, naming
-from activefail.files import path_of
-from activefail.names import INTENSITIES
-from activefail.progress import Begin, Stage, silent, uncounted
-from activefail.session import Session, check_initial_design, local_executor
+from activefail.learning.names import INTENSITIES
+from activefail.run.analyses import EXECUTOR, FIXED, SCHEDULER, WORKERS
+from activefail.run.analysis import REQUIRED, Option, analysis, option
+from activefail.session.arguments import executor_named
+from activefail.session.session import Session, check_initial_design, local_executor
+from activefail.text.files import path_of
+from activefail.text.progress import Begin, Stage, silent, uncounted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from activefail.accelerogram_sets import RecordSet
-    from activefail.bearing.design import Model, Tolerance
-    from activefail.campaign.hazard import Hazard
     from activefail.execution.executor import AsynchronousExecutor
-    from activefail.intensity import Intensity
-    from activefail.risk.hazard_summary import HazardSummary
-    from activefail.risk.ida.findings import IdaFindings
-    from activefail.risk.ida.p695 import MarginRequest
-    from activefail.risk.ida.simulations import Values
+    from activefail.seismic.bearing.design import Model, Tolerance
+    from activefail.seismic.hazard.hazard import Hazard
+    from activefail.seismic.hazard.summary import HazardSummary
+    from activefail.seismic.ida.findings import IdaFindings
+    from activefail.seismic.ida.p695 import MarginRequest
+    from activefail.seismic.ida.simulations import Values
+    from activefail.seismic.motions.accelerogram_sets import RecordSet
+    from activefail.seismic.motions.intensity import Intensity
 
 MODEL: Any = Option(
     None,
     "Choices of the bearing model.",
-    "activefail.bearing.design:Model",
+    "activefail.seismic.bearing.design:Model",
     parts={
         "slider_diameter": Option(0.30, "Slider diameter D_sl [m].", float),
         "restitution_coefficient": Option(0.65, "Coefficient of restitution of the contacts.", float),
@@ -44,13 +44,13 @@ MODEL: Any = Option(
 TOLERANCE: Any = Option(
     None,
     "Accuracy of the integration.",
-    "activefail.bearing.design:Tolerance",
+    "activefail.seismic.bearing.design:Tolerance",
     parts={"relative": Option(1e-4, "Relative tolerance of the integration.", float, names=("--tolerance",))},
 )
 MARGIN: Any = Option(
     None,
     "Collapse margin of FEMA P695.",
-    "activefail.risk.ida.p695:MarginRequest",
+    "activefail.seismic.ida.p695:MarginRequest",
     parts={
         "mce": Option(
             None, "Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695.", float
@@ -80,7 +80,7 @@ _HIGHEST = ", ".join(f"{of.highest:g} ({kind})" for kind, of in INTENSITIES.item
     counts="simulating",
     pages="Folder for the page ida.html, ida.json, ida.csv, ida.png, ida.svg, and the simulations: the same command "
     "continues.",
-    writer="activefail.report.analyses:write_ida",
+    writer="activefail.pages.report.analyses:write_ida",
 )
 def ida(
     bearing: "Values" = option(
@@ -148,17 +148,17 @@ def ida(
 
     The intensities give a fragility curve.
     """
-    from activefail.accelerogram_sets import RecordSet, read_record_set
-    from activefail.bearing.design import Model, Tolerance
-    from activefail.intensity import Intensity
-    from activefail.risk.ida.calculation import analysis
-    from activefail.risk.ida.simulations import (
+    from activefail.seismic.bearing.design import Model, Tolerance
+    from activefail.seismic.ida.calculation import analysis
+    from activefail.seismic.ida.simulations import (
         BearingSubject,
         CampaignSubject,
         Ground,
         campaign_of,
         values_under_records,
     )
+    from activefail.seismic.motions.accelerogram_sets import RecordSet, read_record_set
+    from activefail.seismic.motions.intensity import Intensity
 
     its_run = None if pulses else run
     if its_run is not None:
@@ -208,7 +208,7 @@ def ida(
     "hazard.toml runs/first --out figures",
     writes=False,
     pages="Folder for the figure: hazard.png and hazard.svg.",
-    writer="activefail.figures.hazard:write_hazard",
+    writer="activefail.seismic.figures.hazard:write_hazard",
 )
 def hazard(
     hazard: "Hazard | Path | str" = option(
@@ -227,9 +227,9 @@ def hazard(
 
     With a run folder, also shows which share of the pulses lies outside the campaign's design space.
     """
-    from activefail.campaign.hazard import Hazard, read_hazard
     from activefail.campaign.question import values_of
-    from activefail.risk.hazard_summary import HazardSummary
+    from activefail.seismic.hazard.hazard import Hazard, read_hazard
+    from activefail.seismic.hazard.summary import HazardSummary
 
     if run is None and fixed is not None:
         raise InputError("fixed: requires a run folder, whose variables it fixes.")

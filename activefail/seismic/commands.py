@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from activefail.cli.analyses import command_of
 from activefail.seismic.analyses import hazard, ida
-from activefail.seismic.paper import paper
+from activefail.seismic.paper.command import paper
 from activefail.seismic.simulate import simulate
 
 COMMANDS: dict[Callable[..., None], str] = {

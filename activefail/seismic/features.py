@@ -6,14 +6,22 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from activefail.bearing.collision import COLLISION_FEATURES, collision_features
-from activefail.bearing.design import GRAVITY, TABLE_1, Model
-from activefail.bearing.record_features import RECORD_FEATURES, record_features
-from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError
-from activefail.features import FeatureMap, feature_map, joined, logarithms, quantities_of, scaled, variable_columns
-from activefail.parameter import Payload
-from activefail.space import Array, DesignSpace
+from activefail.learning.features import (
+    FeatureMap,
+    feature_map,
+    joined,
+    logarithms,
+    quantities_of,
+    scaled,
+    variable_columns,
+)
+from activefail.seismic.bearing.collision import COLLISION_FEATURES, collision_features
+from activefail.seismic.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.seismic.bearing.record_features import RECORD_FEATURES, record_features
+from activefail.seismic.bearing.sliding import SLIDING_FEATURES, sliding_features
+from activefail.space.parameter import Payload
+from activefail.space.space import Array, DesignSpace
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""

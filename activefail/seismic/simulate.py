@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from activefail.analysis import Option, option
 from activefail.cli.common import AsJson, name_of, print_json, table_input, table_output
-from activefail.display import progress_bar
 from activefail.errors import InputError, naming
-from activefail.files import check_file, writing_to
 from activefail.record.layout import check_output
+from activefail.run.analysis import Option, option
 from activefail.seismic.analyses import MODEL, TOLERANCE
+from activefail.session.display import progress_bar
+from activefail.text.files import check_file, writing_to
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.bearing import Accelerogram, Model, Response, Tolerance
+    from activefail.seismic.bearing import Accelerogram, Model, Response, Tolerance
 
 
 DESIGN: Any = option(
@@ -88,7 +88,7 @@ def simulate(
 def _read_record(
     path: Path, unit: str | None, scale: float | None, dt: float | None, vertical: Path | None
 ) -> "Accelerogram":
-    from activefail.accelerogram_files import read_accelerogram
+    from activefail.seismic.motions.accelerogram_files import read_accelerogram
 
     accelerogram = read_accelerogram(path, unit, dt)
     if vertical is not None:
@@ -118,11 +118,11 @@ def _simulate_one(
     animate: Path | None,
     as_json: bool,
 ) -> None:
-    from activefail.accelerogram_files import doubts
-    from activefail.bearing.design import TABLE_1, Bearing, Pulse, outside_table_1
-    from activefail.bearing.motion import record_lines, response_lines
-    from activefail.bearing.simulation import simulate_one
-    from activefail.bearing.terms import Terms
+    from activefail.seismic.bearing.design import TABLE_1, Bearing, Pulse, outside_table_1
+    from activefail.seismic.bearing.motion import record_lines, response_lines
+    from activefail.seismic.bearing.simulation import simulate_one
+    from activefail.seismic.bearing.terms import Terms
+    from activefail.seismic.motions.accelerogram_files import doubts
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
     check_file(animate, "an animation", (".gif", ".mp4"))
@@ -142,14 +142,14 @@ def _simulate_one(
     for note in [*notes, *outside_table_1(design)]:
         print(f"note: {visible(note)}", file=sys.stderr)
     if plot is not None:
-        from activefail.figures.motion import plot_response
-        from activefail.figures.style import save_figure
+        from activefail.pages.figures.style import save_figure
+        from activefail.seismic.figures.motion import plot_response
 
         with writing_to(plot):
             save_figure(plot_response(response), plot)
         _print_file("plot", plot, as_json)
     if animate is not None:
-        from activefail.figures.animation import save_animation
+        from activefail.seismic.figures.animation import save_animation
 
         with writing_to(animate), progress_bar("drawing") as begin:
             save_animation(response, animate, begin=begin)

@@ -2,15 +2,15 @@
 
 from typing import Any
 
-from activefail.bearing import outcome as o
-from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
-from activefail.bearing.simulation import simulate
-from activefail.csv_table import Check, Source, Target
+from activefail.analyses.findings.tables import Advance, cell_of, extend_table
 from activefail.errors import InputError
-from activefail.findings.tables import Advance, cell_of, extend_table
-from activefail.parameter import LARGEST
-from activefail.progress import Begin, uncounted
-from activefail.space import Array
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.seismic.bearing.simulation import simulate
+from activefail.space.parameter import LARGEST
+from activefail.space.space import Array
+from activefail.text.csv_table import Check, Source, Target
+from activefail.text.progress import Begin, uncounted
 
 
 def check_bearing(model: Model) -> Check:

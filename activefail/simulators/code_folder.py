@@ -10,7 +10,7 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from activefail.syntax import dumped, syntax_of
+from activefail.text.syntax import dumped, syntax_of
 
 
 class SourceLoader(SourceFileLoader):

@@ -19,9 +19,6 @@ from typing import Any
 import numpy as np
 
 from activefail.errors import InputError, reason_of, signal_name
-from activefail.files import end_of, make_folder
-from activefail.numerals import number_of_program
-from activefail.parameter import exact
 from activefail.simulators.code_folder import files_of, sha256, sources_of
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.simulators.placeholders import (
@@ -35,8 +32,11 @@ from activefail.simulators.placeholders import (
 )
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import COMMAND_KEY, not_permitted
-from activefail.space import Array, DesignSpace
-from activefail.trust import read_regular
+from activefail.space.parameter import exact
+from activefail.space.space import Array, DesignSpace
+from activefail.text.files import end_of, make_folder
+from activefail.text.numerals import number_of_program
+from activefail.text.trust import read_regular
 
 LONGEST_EXCERPT = 300
 """Characters of a program's `stderr.txt` that a message quotes."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from activefail.errors import InputError
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from activefail.errors import ActivefailError, InputError, description_of
 from activefail.simulators.interface import Results
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function, not_permitted
-from activefail.space import Array, DesignSpace
+from activefail.space.space import Array, DesignSpace
 from activefail.visible import visible
 
 
@@ -20,7 +20,7 @@ class PythonSimulator:
     """A function that simulates one design, in a worker process.
 
     It takes a dictionary with the values of the variables and the fixed quantities. The value of a variable with a set
-    is the record, scaled (`activefail.accelerogram_sets.SetRecord`). It returns the name of the outcome, or a
+    is the record, scaled (`activefail.SetRecord`). It returns the name of the outcome, or a
     dictionary with "outcome" and, optionally, "margins", a dictionary of numbers, and "cause"; or the only
     margin, if it has levels. If it raises, only that simulation fails.
 

@@ -7,7 +7,7 @@ from typing import Literal, Protocol, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.space import Array
+from activefail.space.space import Array
 
 NUMERICAL_FAILURE = -1
 """The outcome of a simulation without a usable result: counted, never learned from."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator, cause_name
-from activefail.space import Array
+from activefail.space.space import Array
 
 IF_DIFFERENT = (
     "Is the simulator random? Then `simulator.repeatable = false` in the campaign file makes its noise part of the "

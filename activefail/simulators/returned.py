@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from activefail.simulators.interface import NotFiniteError, Results, UnusableAnswerError
-from activefail.space import Array, DesignSpace
+from activefail.space.space import Array, DesignSpace
 from activefail.visible import margin_in_words
 
 

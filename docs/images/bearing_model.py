@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon
 
-from activefail.bearing import Bearing
-from activefail.figures import style
-from activefail.figures.motion import on_slider, on_top_plate, plate_outline, slider_outline
+from activefail.pages.figures import style
+from activefail.seismic.bearing import Bearing
+from activefail.seismic.figures.motion import on_slider, on_top_plate, plate_outline, slider_outline
 
 FILE = Path(__file__).with_name("bearing_model.svg")
 

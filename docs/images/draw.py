@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from activefail.bearing import Bearing, Pulse, simulate_one
-from activefail.bearing.design import GRAVITY
-from activefail.figures.motion import plot_snapshots
+from activefail.seismic.bearing import Bearing, Pulse, simulate_one
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.figures.motion import plot_snapshots
 
 HERE = Path(__file__).parent
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from surrogate.labelled import RBF
 
-from activefail.acquisition import batch_proposal, criteria
-from activefail.acquisition.batch_proposal import (
+from activefail.learning.criteria import batch_proposal, criteria
+from activefail.learning.criteria.batch_proposal import (
     SEARCH_SHARE,
     Search,
     apportion,
@@ -18,14 +18,14 @@ from activefail.acquisition.batch_proposal import (
     propose_shared,
     values,
 )
-from activefail.acquisition.criteria import criterion
-from activefail.features import feature_map
-from activefail.names import Criterion
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate.boundary_gp import fantasised
-from activefail.surrogate.likelihoods import expected_precision
-from activefail.surrogate.training import train
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.features import feature_map
+from activefail.learning.model.boundary_gp import fantasised
+from activefail.learning.model.likelihoods import expected_precision
+from activefail.learning.model.training import train
+from activefail.learning.names import Criterion
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
 FEATURES = feature_map("design", SPACE)

@@ -8,15 +8,15 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from activefail.acquisition import by_margin
-from activefail.acquisition.batch_proposal import propose
-from activefail.acquisition.by_margin import doubt, doubtful_population
-from activefail.acquisition.criteria import criterion
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate.boundary_gp import joint
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.learning.criteria import by_margin
+from activefail.learning.criteria.batch_proposal import propose
+from activefail.learning.criteria.by_margin import doubt, doubtful_population
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.features import feature_map
+from activefail.learning.model.boundary_gp import joint
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)

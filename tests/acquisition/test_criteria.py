@@ -9,12 +9,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.stats import norm
 from surrogate.labelled import MATERN52, points
 
-from activefail.acquisition import criteria
-from activefail.acquisition.by_margin import DoubtReduction
-from activefail.acquisition.criteria import criterion
-from activefail.surrogate.fitting import fit
-from activefail.surrogate.margin import MarginLatent, fit_margin
-from activefail.surrogate.moments import binary_entropy
+from activefail.learning.criteria import criteria
+from activefail.learning.criteria.by_margin import DoubtReduction
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.model.fitting import fit
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.learning.model.moments import binary_entropy
 
 MEAN, SD = (grid.ravel() for grid in np.meshgrid(np.linspace(-4.0, 4.0, 17), [0.05, 0.3, 1.0, 2.0, 5.0]))
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal, norm
 
-from activefail.acquisition.criteria import _LabelCovariance
+from activefail.learning.criteria.criteria import _LabelCovariance
 
 CORRELATIONS = [0.0, 0.05, 0.31, 0.5, 0.8, 0.926, 0.95, 0.99, 0.999, 1 - 1e-5, 1 - 1e-9]
 

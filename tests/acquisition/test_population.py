@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from activefail.acquisition.population import finite, population
 from activefail.errors import InputError
-from activefail.features import ExpressionFeatures, feature_map
-from activefail.parameter import Parameter
-from activefail.space import REACH, DesignSpace, radius
+from activefail.learning.criteria.population import finite, population
+from activefail.learning.features import ExpressionFeatures, feature_map
+from activefail.space.parameter import Parameter
+from activefail.space.space import REACH, DesignSpace, radius
 
 
 def standard_normal(d: int) -> DesignSpace:

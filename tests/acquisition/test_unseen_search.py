@@ -5,9 +5,9 @@ import pytest
 from rare import four_branch
 from scipy.spatial.distance import cdist
 
-from activefail.acquisition.unseen_search import search
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
+from activefail.learning.criteria.unseen_search import search
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 NORMAL = DesignSpace(
     tuple(Parameter(name, -6.0, 6.0, distribution="truncated_normal", mean=0.0, sd=1.0) for name in "xy")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numba import njit
 
-from activefail.bearing import TABLE_1, Bearing, Responses, Tolerance, simulate
-from activefail.bearing.dynamics import System
-from activefail.bearing.integrator import ACCEPTED, Control, advance, start
-from activefail.bearing.outcome import NONE, failure_cause, observe
-from activefail.space import Array
+from activefail.seismic.bearing import TABLE_1, Bearing, Responses, Tolerance, simulate
+from activefail.seismic.bearing.dynamics import System
+from activefail.seismic.bearing.integrator import ACCEPTED, Control, advance, start
+from activefail.seismic.bearing.outcome import NONE, failure_cause, observe
+from activefail.space.space import Array
 
 SAMPLES = 2000
 

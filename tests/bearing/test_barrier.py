@@ -9,13 +9,13 @@ from cases import some
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from activefail.bearing import Bearing, Model, Pulse
-from activefail.bearing import outcome as o
-from activefail.bearing.barrier import barrier
-from activefail.bearing.contact import gap
-from activefail.bearing.dynamics import System, energy, equilibrium, lever, seen_by_plate, system
-from activefail.bearing.pulse import ground_acceleration, impulse_to_come
-from activefail.space import Array
+from activefail.seismic.bearing import Bearing, Model, Pulse
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.bearing.barrier import barrier
+from activefail.seismic.bearing.contact import gap
+from activefail.seismic.bearing.dynamics import System, energy, equilibrium, lever, seen_by_plate, system
+from activefail.seismic.bearing.pulse import ground_acceleration, impulse_to_come
+from activefail.space.space import Array
 
 AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
-from activefail.bearing.collision import (
+from activefail.errors import InputError
+from activefail.seismic.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
+from activefail.seismic.bearing.collision import (
     collide,
     collision_features,
     collision_severity,
     touching_displacement,
 )
-from activefail.bearing.contact import Plate
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.ground import Ricker
-from activefail.errors import InputError
+from activefail.seismic.bearing.contact import Plate
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.ground import Ricker
 
 
 @pytest.mark.parametrize(("D_tot", "h_sl", "T_b"), [(0.45, 0.1, 5.5), (0.6, 0.2, 4.0), (0.85, 0.39, 2.5)])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from activefail.bearing import Bearing, Model, Pulse
-from activefail.bearing.contact import LEAST_PENETRATION, Plate, gap, meets_rim, vertex_force, vertex_jacobian
-from activefail.bearing.dynamics import System, system
+from activefail.seismic.bearing import Bearing, Model, Pulse
+from activefail.seismic.bearing.contact import LEAST_PENETRATION, Plate, gap, meets_rim, vertex_force, vertex_jacobian
+from activefail.seismic.bearing.dynamics import System, system
 
 PLATE = Plate(
     radius=1.5,

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate
 from activefail.errors import InputError
+from activefail.seismic.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate
 
 ROW = (4.0, 0.07, 0.65, 0.8, 0.12, 45.0, 2e9, 1.5, 0.4)
 
@@ -138,7 +138,7 @@ def test_a_pulse_may_be_mirrored_but_a_design_may_not():
 
 def test_the_physics_loads_without_the_learning_the_store_or_the_settings():
     code = (
-        "import sys, activefail.bearing; "
+        "import sys, activefail.seismic.bearing; "
         "print(*sorted({m.split('.')[0] for m in sys.modules} & {'torch', 'h5py', 'gpytorch', 'botorch', 'pydantic', "
         "'matplotlib'}))"
     )

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from activefail.bearing import Bearing, Model, Pulse, simulate_one
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.dynamics import dfp_acceleration, dfp_linearisation, energy, equilibrium, system
-from activefail.bearing.ground import Segment
-from activefail.bearing.integrator import ACCEPTED, Control, advance, start
-from activefail.bearing.pulse import ground_acceleration
-from activefail.space import Array
+from activefail.seismic.bearing import Bearing, Model, Pulse, simulate_one
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.dynamics import dfp_acceleration, dfp_linearisation, energy, equilibrium, system
+from activefail.seismic.bearing.ground import Segment
+from activefail.seismic.bearing.integrator import ACCEPTED, Control, advance, start
+from activefail.seismic.bearing.pulse import ground_acceleration
+from activefail.space.space import Array
 
 MIRROR = np.array([-1.0, 1.0, -1.0, -1.0, 1.0])
 """What reversing the x axis does to (x_s, z_s, θ, x_t, z_t)."""

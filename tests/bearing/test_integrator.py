@@ -13,8 +13,8 @@ from numba.core.caching import NullCache
 from numba.extending import overload
 from scipy.integrate import solve_ivp
 
-from activefail.bearing import integrator
-from activefail.bearing.integrator import (
+from activefail.seismic.bearing import integrator
+from activefail.seismic.bearing.integrator import (
     ACCEPTED,
     RODAS,
     STEP_UNDERFLOW,
@@ -26,7 +26,7 @@ from activefail.bearing.integrator import (
     start,
     step_of,
 )
-from activefail.space import Array
+from activefail.space.space import Array
 
 UNLIMITED = 10**9
 

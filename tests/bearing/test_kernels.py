@@ -10,9 +10,9 @@ from numba import njit
 from numba.core import config
 
 import activefail
-from activefail.bearing import kernels
-from activefail.bearing.kernels import compiler_options, folder_of_kernels, kept_kernels, physics_digest
 from activefail.campaign.provenance import _LIBRARY_OPTIONS
+from activefail.seismic.bearing import kernels
+from activefail.seismic.bearing.kernels import compiler_options, folder_of_kernels, kept_kernels, physics_digest
 
 
 def test_kernels_of_earlier_sources_are_deleted_and_those_of_the_present_sources_stay(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def another_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[
     """A folder in which processes with different options keep a kernel, and what each of them records."""
     folder = tmp_path_factory.mktemp("cache")
     code = (
-        "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)\n"
+        "from activefail.seismic.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)\n"
         "from activefail.campaign.provenance import provenance, simulation_versions\n"
         "print(provenance()['numba_options'], simulation_versions()['numba_options'], provenance()['library_options'])"
     )
@@ -163,8 +163,8 @@ def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
 
 
 ON_A_COPY = """
-from activefail.bearing.kernels import KERNEL, kernel
-from activefail.bearing.pulse import ground_acceleration
+from activefail.seismic.bearing.kernels import KERNEL, kernel
+from activefail.seismic.bearing.pulse import ground_acceleration
 
 # `pulse` is compiled into a kernel of another file.
 @kernel(**KERNEL)
@@ -240,10 +240,10 @@ def test_the_simulator_says_when_it_is_compiled_and_only_then(tmp_path: Path, ca
 ANSWERS = """
 import hashlib
 import numpy as np
-from activefail.bearing.collision import collision_features
-from activefail.bearing.design import TABLE_1
-from activefail.bearing.simulation import simulate
-from activefail.bearing.sliding import sliding_features
+from activefail.seismic.bearing.collision import collision_features
+from activefail.seismic.bearing.design import TABLE_1
+from activefail.seismic.bearing.simulation import simulate
+from activefail.seismic.bearing.sliding import sliding_features
 
 X = TABLE_1.from_unit(np.random.default_rng(3).random((300, 9)))
 digest = hashlib.sha256()

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from activefail.bearing import Bearing, Model, Pulse, outcome
-from activefail.bearing.dynamics import System, equilibrium, system
-from activefail.bearing.outcome import Observation, crossing, failure_cause, failure_fraction, observe
-from activefail.space import Array
+from activefail.seismic.bearing import Bearing, Model, Pulse, outcome
+from activefail.seismic.bearing.dynamics import System, equilibrium, system
+from activefail.seismic.bearing.outcome import Observation, crossing, failure_cause, failure_fraction, observe
+from activefail.space.space import Array
 
 AT_REST = np.zeros(5)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson
 
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import (
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import (
     HALF_DURATION,
     VELOCITY_PERIOD,
     amplitude_of,

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from bearing.test_records import bearings, sampled, synthetic
 
-from activefail.bearing import TABLE_1, Accelerogram, simulate_records
-from activefail.bearing.collision import collision_features
-from activefail.bearing.record_features import record_features
-from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
-from activefail.space import Array
+from activefail.seismic.bearing import TABLE_1, Accelerogram, simulate_records
+from activefail.seismic.bearing.collision import collision_features
+from activefail.seismic.bearing.record_features import record_features
+from activefail.seismic.bearing.sliding import sliding_features
+from activefail.space.space import Array
 
 RECORDS = [synthetic(seed, 0.4) for seed in range(8)]
 

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from activefail.bearing import (
+from activefail.errors import InputError
+from activefail.seismic.bearing import (
     TABLE_1,
     Accelerogram,
     Bearing,
@@ -16,12 +17,11 @@ from activefail.bearing import (
     simulate_one,
     simulate_records,
 )
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.ground import samples
-from activefail.bearing.motion import describe_outcome, instants
-from activefail.bearing.pulse import ground_acceleration
-from activefail.errors import InputError
-from activefail.space import Array
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.ground import samples
+from activefail.seismic.bearing.motion import describe_outcome, instants
+from activefail.seismic.bearing.pulse import ground_acceleration
+from activefail.space.space import Array
 
 MIRROR = np.array([-1.0, 1.0, -1.0, -1.0, 1.0])
 

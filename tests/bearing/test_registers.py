@@ -7,11 +7,20 @@ import pytest
 from cases import some
 from numba import njit
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
-from activefail.bearing.dynamics import cosine_and_sine, dfp_linearisation, system
-from activefail.bearing.integrator import RODAS
-from activefail.bearing.lanes import any_positive, lanes, numbers, positive, sign, sqrt, where
-from activefail.bearing.tuples import axpy, axpy_rows, combination, error_sum, factorise, product, scaled_rows, solve
+from activefail.seismic.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
+from activefail.seismic.bearing.dynamics import cosine_and_sine, dfp_linearisation, system
+from activefail.seismic.bearing.integrator import RODAS
+from activefail.seismic.bearing.lanes import any_positive, lanes, numbers, positive, sign, sqrt, where
+from activefail.seismic.bearing.tuples import (
+    axpy,
+    axpy_rows,
+    combination,
+    error_sum,
+    factorise,
+    product,
+    scaled_rows,
+    solve,
+)
 
 
 @njit

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activefail.bearing import Accelerogram, Model, Responses, simulate, simulate_one, simulate_records
-from activefail.bearing import outcome as o
-from activefail.bearing.collision import collision_severity
-from activefail.bearing.design import Bearing, Pulse
-from activefail.space import Array
+from activefail.seismic.bearing import Accelerogram, Model, Responses, simulate, simulate_one, simulate_records
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.bearing.collision import collision_severity
+from activefail.seismic.bearing.design import Bearing, Pulse
+from activefail.space.space import Array
 
 BREAKING = Model(rim="breaking", rim_strength=1.5)
 YIELDING = Model(rim="yielding", rim_strength=1.0, rim_deformation=0.05)

@@ -8,12 +8,22 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Response, Responses, Tolerance, simulate, simulate_one
-from activefail.bearing import outcome as o
-from activefail.bearing.dynamics import equilibrium, system
-from activefail.bearing.simulation import EVENT_STEP
 from activefail.errors import InputError
-from activefail.space import Array
+from activefail.seismic.bearing import (
+    TABLE_1,
+    Bearing,
+    Model,
+    Pulse,
+    Response,
+    Responses,
+    Tolerance,
+    simulate,
+    simulate_one,
+)
+from activefail.seismic.bearing import outcome as o
+from activefail.seismic.bearing.dynamics import equilibrium, system
+from activefail.seismic.bearing.simulation import EVENT_STEP
+from activefail.space.space import Array
 
 G = 9.81
 MIRROR = np.array([-1.0, 1.0, -1.0, -1.0, 1.0])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from activefail.bearing import TABLE_1, Bearing, Model
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.ground import Ricker
-from activefail.bearing.pulse import ground_acceleration
-from activefail.bearing.sliding import STEPS, slide, sliding_features
 from activefail.errors import InputError
+from activefail.seismic.bearing import TABLE_1, Bearing, Model
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.ground import Ricker
+from activefail.seismic.bearing.pulse import ground_acceleration
+from activefail.seismic.bearing.sliding import STEPS, slide, sliding_features
 
 NO_STOP = math.inf
 FINE = 20_000

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from activefail.bearing import TABLE_1, Accelerogram, Bearing, Model, Tolerance, simulate_one
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.terms import Terms
-from activefail.space import Array
+from activefail.seismic.bearing import TABLE_1, Accelerogram, Bearing, Model, Tolerance, simulate_one
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.terms import Terms
+from activefail.space.space import Array
 
 MODEL = Model(friction_velocity=1e-6)
 ROWS = TABLE_1.from_unit(np.random.default_rng(3).random((12, 9)))[:, :7]

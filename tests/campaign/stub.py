@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
-from activefail.space import Array
+from activefail.space.space import Array
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign

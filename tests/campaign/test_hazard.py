@@ -11,26 +11,26 @@ from commandline import activefail, refused, sets
 from scipy.special import ndtr
 
 import activefail as package
-from activefail.acquisition.population import integration_points
-from activefail.bearing.design import TABLE_1
-from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
-from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
-from activefail.campaign.hazard_sections import RELATIONS
+from activefail.analyses.classifier_probability import classifier_probability
+from activefail.analyses.findings.status import read_status
 from activefail.campaign.inquiry import read_question
 from activefail.campaign.question import Question
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.figures.hazard import plot_hazard
-from activefail.findings.status import read_status
-from activefail.reliability.estimate import plan_estimate
-from activefail.reliability.integral import integral_of
-from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.hazard_summary import HazardSummary
-from activefail.session import estimating
-from activefail.space import Array, DesignSpace
-from activefail.verification.probability_estimator import Sampled
-from activefail.weighted import WeightedRows, weighted_quantiles
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.integral import integral_of
+from activefail.estimates.probability_estimator import Sampled
+from activefail.learning.criteria.population import integration_points
+from activefail.seismic.bearing.design import TABLE_1
+from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
+from activefail.seismic.figures.hazard import plot_hazard
+from activefail.seismic.hazard.deaggregation import deaggregated
+from activefail.seismic.hazard.hazard import Hazard, hazard_question, read_hazard
+from activefail.seismic.hazard.sections import RELATIONS
+from activefail.seismic.hazard.summary import HazardSummary
+from activefail.session.session import estimating
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows, weighted_quantiles
 
 BEARING = {"T_b": 4.0, "mu": 0.06, "D_tot": 0.65, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
 BEARING_FILE = "".join(f"{name} = {value}\n" for name, value in BEARING.items())

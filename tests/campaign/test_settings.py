@@ -14,12 +14,12 @@ from campaign.test_shipped import shipped
 from hypothesis import given
 from hypothesis import strategies as st
 
-from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign, shipped_campaigns
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings, read_toml
 from activefail.errors import InputError
-from activefail.names import Criterion
+from activefail.learning.names import Criterion
+from activefail.seismic.bearing import TABLE_1, Model, Tolerance
 from activefail.simulators.user_code import digest_without_running
 
 SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))

@@ -2,8 +2,8 @@
 
 import pytest
 
-from activefail.comparison.equivalent import equivalent
-from activefail.verification.scores import Score
+from activefail.analyses.comparison.equivalent import equivalent
+from activefail.estimates.scores import Score
 
 
 def scored(sampling: str, simulations: int, accuracy: float, hypercube: int = 0) -> Score:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from campaign.stub import Disc, distance
 
-from activefail.comparison.measures import (
+from activefail.analyses.comparison.measures import (
     DISPLACEMENT,
     NEIGHBOURS,
     FreshSet,

@@ -8,10 +8,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from activefail.bearing import simulate
-from activefail.campaign.on_disk import open_campaign
-from activefail.campaign.settings import CampaignSettings
-from activefail.comparison.seeds import (
+from activefail.analyses.comparison.seeds import (
     STATIC,
     Arm,
     ArmScore,
@@ -21,8 +18,11 @@ from activefail.comparison.seeds import (
     curves,
     simulations_to_reach,
 )
+from activefail.campaign.on_disk import open_campaign
+from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
-from activefail.report.comparison import comparison_json, comparison_lines, comparison_text, write_comparison
+from activefail.pages.report.comparison import comparison_json, comparison_lines, comparison_text, write_comparison
+from activefail.seismic.bearing import simulate
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +60,7 @@ class Here:
 
 @pytest.fixture
 def here(monkeypatch):
-    monkeypatch.setattr("activefail.comparison.seeds.ProcessPool", Here)
+    monkeypatch.setattr("activefail.analyses.comparison.seeds.ProcessPool", Here)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def stopped_and_continued(folder):
     done = []
     assert compare_seeds(PLAN, folder, 2, done=lambda n, _: done.append(n), stop=lambda: len(done) >= 3) is None
     before = times()
-    with mock.patch("activefail.comparison.seeds.ProcessPool", Here):
+    with mock.patch("activefail.analyses.comparison.seeds.ProcessPool", Here):
         scores = compare_seeds(PLAN, folder, 1)
     return before, times(), scores
 

@@ -7,9 +7,7 @@ import pytest
 from campaign.stub import Counting, Disc, disc
 from commandline import table
 
-from activefail.campaign.assembly import Campaign
-from activefail.campaign.random_streams import stream
-from activefail.comparison.static import (
+from activefail.analyses.comparison.static import (
     compare,
     default_budgets,
     remember_scores,
@@ -17,20 +15,22 @@ from activefail.comparison.static import (
     score_lines,
     write_scores,
 )
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
 from activefail.errors import InputError
+from activefail.estimates.scores import Score, recalls, score
+from activefail.estimates.stored_sets import estimate_sizes
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.threads import one_thread
+from activefail.learning.model.training import train
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.progress import Observer, standing
 from activefail.loop.running import run
 from activefail.loop.telling import add
 from activefail.record.memory import MemoryStore
-from activefail.space import Array
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.threads import one_thread
-from activefail.surrogate.training import train
-from activefail.verification.scores import Score, recalls, score
-from activefail.verification.stored_sets import estimate_sizes
+from activefail.space.space import Array
 
 TEST = 300
 

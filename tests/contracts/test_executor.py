@@ -24,10 +24,10 @@ from activefail.errors import SimulationError
 from activefail.execution.dask import DaskExecutor
 from activefail.execution.executor import AsynchronousExecutor, Executor
 from activefail.execution.local import ProcessExecutor, ThreadExecutor, local_executor
-from activefail.parameter import Parameter
 from activefail.record.batch import Schema
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
-from activefail.space import Array, DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
 
 pytestmark = pytest.mark.faults
 

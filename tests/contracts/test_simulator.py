@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from campaign.stub import HIGH, LOW, Disc
 
-from activefail.bearing import TABLE_1, Model, Tolerance, simulate
 from activefail.errors import InputError
-from activefail.parameter import Parameter
 from activefail.record.batch import Schema
-from activefail.simulators.bearing import DfpSimulator
+from activefail.seismic.bearing import TABLE_1, Model, Tolerance, simulate
+from activefail.seismic.simulator import DfpSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
-from activefail.space import Array, DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
 
 PLANE = DesignSpace((Parameter("x", LOW[0], HIGH[0]), Parameter("y", LOW[1], HIGH[1])))
 TURNED = DesignSpace(TABLE_1.parameters[::-1])

@@ -11,7 +11,7 @@ from pathlib import Path
 from campaign.stub import Disc
 
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True)

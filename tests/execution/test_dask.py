@@ -26,16 +26,16 @@ from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.progress import Observer, Progress
 from activefail.loop.running import run
-from activefail.opening import open_run
-from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
-from activefail.risk.ida import simulations as ida_simulations
-from activefail.risk.ida.capacity import Answers
-from activefail.risk.ida.simulations import CampaignSubject
+from activefail.run.opening import open_run
+from activefail.seismic.ida import simulations as ida_simulations
+from activefail.seismic.ida.capacity import Answers
+from activefail.seismic.ida.simulations import CampaignSubject
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED
-from activefail.space import DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
 

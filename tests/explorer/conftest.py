@@ -12,18 +12,18 @@ import pytest
 from report.browser import browser
 from report.test_report import ran, settings
 
-from activefail.bearing.design import TABLE_1
+from activefail.analyses.findings.results import Findings, findings_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
-from activefail.explorer.campaign import OneDesign, Slow
-from activefail.explorer.jobs import Jobs
-from activefail.explorer.pages import Site
-from activefail.explorer.server import ExplorerServer
-from activefail.explorer.site import CampaignSite
-from activefail.findings.results import Findings, findings_of
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
+from activefail.pages.explorer.campaign import OneDesign, Slow
+from activefail.pages.explorer.jobs import Jobs
+from activefail.pages.explorer.pages import Site
+from activefail.pages.explorer.server import ExplorerServer
+from activefail.pages.explorer.site import CampaignSite
 from activefail.record.run_folder import FolderStore
-from activefail.surrogate.threads import one_thread
+from activefail.seismic.bearing.design import TABLE_1
 
 
 @pytest.fixture(scope="session")

@@ -14,15 +14,15 @@ from explorer.conftest import findings_in, form, site_of
 from report.test_report import other, settings
 from typer.testing import CliRunner
 
-from activefail.bearing import Bearing, Pulse, simulate_one
+from activefail.analyses.findings.results import predict
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.cli.app import app
 from activefail.errors import InputError
-from activefail.explorer import campaign as explorer_campaign
-from activefail.figures.outcome_planes import marks_in
-from activefail.findings.results import predict
-from activefail.report.environment import probability
+from activefail.pages.explorer import campaign as explorer_campaign
+from activefail.pages.figures.outcome_planes import marks_in
+from activefail.pages.report.environment import probability
+from activefail.seismic.bearing import Bearing, Pulse, simulate_one
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
 

@@ -14,20 +14,20 @@ from explorer.conftest import findings_in, served, site_of
 from explorer.test_server import ask, request
 from patience import PATIENCE, until
 
+from activefail.analyses.classifier_probability import classifier_probability
+from activefail.analyses.design.required_chart import least_value
+from activefail.analyses.findings.results import Findings
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
-from activefail.explorer.design import DesignPage
-from activefail.explorer.jobs import Job, Jobs, StoppedError
-from activefail.findings.results import Findings
-from activefail.opening import open_run
-from activefail.reliability.integral import boundary_of
-from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.design.required_chart import least_value
-from activefail.shares import percent, significant
+from activefail.estimates.integral import boundary_of
+from activefail.pages.explorer.design import DesignPage
+from activefail.pages.explorer.jobs import Job, Jobs, StoppedError
+from activefail.run.opening import open_run
+from activefail.seismic.hazard.hazard import hazard_question, read_hazard
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.shares import percent, significant
+from activefail.space.space import Array
 
 BEARING = {"T_b": 4.0, "mu": 0.06, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
 SITE = {"magnitude": 7.0, "period_dispersion": 0.56, "median_pgv": 0.7, "pgv_dispersion": 0.25, "mu_lower": 0.8}

@@ -10,9 +10,9 @@ from patience import until
 from report.browser import browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
-from activefail.explorer.design import PERIODS, TARGET, DesignPage
-from activefail.explorer.jobs import Job, Jobs
-from activefail.findings.results import Findings
+from activefail.analyses.findings.results import Findings
+from activefail.pages.explorer.design import PERIODS, TARGET, DesignPage
+from activefail.pages.explorer.jobs import Job, Jobs
 
 pytestmark = pytest.mark.needs("browser")
 

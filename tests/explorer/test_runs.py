@@ -13,20 +13,20 @@ from patience import PATIENCE, until
 from report.browser import console_errors, fresh
 from report.test_report import ran
 
+from activefail.analyses.findings.results import findings_of
+from activefail.analyses.findings.status import estimate_of, read_status
 from activefail.campaign.on_disk import create_folder
 from activefail.errors import InputError
+from activefail.estimates.scores import error_of
 from activefail.execution.local import ThreadExecutor
-from activefail.explorer import runs as all_runs
-from activefail.explorer.runs import Runs, run_folders
-from activefail.explorer.server import ExplorerServer
-from activefail.findings.results import findings_of
-from activefail.findings.status import estimate_of, read_status
-from activefail.json_text import json_text
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
 from activefail.loop.running import run
+from activefail.pages.explorer import runs as all_runs
+from activefail.pages.explorer.runs import Runs, run_folders
+from activefail.pages.explorer.server import ExplorerServer
 from activefail.record.run_folder import FolderStore
-from activefail.surrogate.threads import one_thread
-from activefail.verification.scores import error_of
+from activefail.text.json_text import json_text
 
 NAME = "a <b> & 100 %"
 """Of a run folder; its address needs escapes."""

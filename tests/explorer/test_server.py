@@ -12,10 +12,10 @@ import pytest
 from explorer.conftest import form, served, site_of
 from patience import PATIENCE, until
 
+from activefail.analyses.findings.results import Findings
 from activefail.errors import InputError
-from activefail.explorer import server as explorer_server
-from activefail.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
-from activefail.findings.results import Findings
+from activefail.pages.explorer import server as explorer_server
+from activefail.pages.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
 
 POINT = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 FORM = form(POINT, across="T_p", up="A_p", shown="failure", along="A_p")

@@ -14,7 +14,7 @@ import numpy as np
 from campaign.stub import Disc
 
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from faults.harness import Victim, Victims, few, traced
 from faults.test_kills import REFUSALS, calls_of
 from faults.victim import campaign, elsewhere, opened
 
-from activefail.files import TEMPORARY
 from activefail.loop.in_flight import HandedOut
 from activefail.record.batch import columns_of
 from activefail.record.labels import labels_of
 from activefail.record.run_folder import FolderStore
+from activefail.text.files import TEMPORARY
 
 PLACES = ("ask 1", "ask 3", "tell 1", "tell 5", "drop 1", "add 1", "correct 1", "correct 2")
 """The first design, designs that a classifier proposes, results of both kinds, and one of each other kind."""

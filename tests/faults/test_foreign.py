@@ -24,10 +24,11 @@ from hypothesis.extra import numpy as arrays
 
 from activefail.campaign.on_disk import open_campaign
 from activefail.errors import InputError, StoreError
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.state import classifier_from_state
 from activefail.loop.history import History
 from activefail.loop.learning import learner_of
 from activefail.loop.saved_learning import restore
-from activefail.parameter import Parameter
 from activefail.record.batch import INITIAL, Batch, Schema
 from activefail.record.checkpoint import State, decode, encode
 from activefail.record.layout import run_folder_owning
@@ -35,9 +36,8 @@ from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.simulators.placeholders import LONGEST_NUMBER, arguments
-from activefail.space import DesignSpace
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.state import classifier_from_state
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 from activefail.visible import quoted, visible
 
 Survived = Callable[[], None]

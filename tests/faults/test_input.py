@@ -18,10 +18,10 @@ from commandline import activefail, refused
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from activefail.bearing import TABLE_1
 from activefail.campaign.settings import CampaignSettings
-from activefail.expressions import FUNCTIONS, parsed_name
-from activefail.parameter import LARGEST
+from activefail.seismic.bearing import TABLE_1
+from activefail.space.expressions import FUNCTIONS, parsed_name
+from activefail.space.parameter import LARGEST
 from activefail.visible import visible
 
 Survived = Callable[[], None]

@@ -14,11 +14,11 @@ import pytest
 from faults.harness import Course, Victim, Victims, few, finished, traced
 from faults.victim import BUDGET, COMMITS, Inline, campaign, opened
 
-from activefail.files import TEMPORARY
 from activefail.loop.progress import Observer
 from activefail.loop.running import run
 from activefail.record.layout import QUARANTINE
 from activefail.record.run_folder import FolderStore
+from activefail.text.files import TEMPORARY
 
 Call = tuple[str, int]
 """A system call and how often it was made before, since the tracer was there."""

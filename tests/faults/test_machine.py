@@ -91,7 +91,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated
     def simulated(*arguments: object) -> None:
         raise AssertionError("it simulates")
 
-    monkeypatch.setattr("activefail.simulators.bearing.DfpSimulator.run", simulated)
+    monkeypatch.setattr("activefail.seismic.simulator.DfpSimulator.run", simulated)
     for words in (
         ["resume", disk / "run", "--budget", "30"],
         ["run", tmp_path / "tiny.toml", "--out", disk / "new"],

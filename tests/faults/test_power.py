@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 from faults.harness import few
 
-from activefail import files
 from activefail.record import journal as journal_module
 from activefail.record import run_folder as store_module
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, Batch, Schema
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
+from activefail.text import files
 
 SCHEMA = Schema(("x", "y"), ("safe", "broken"), ("", "crack"), ("distance",))
 SETTINGS = "seed = 1\n"

@@ -28,7 +28,7 @@ from activefail.loop.progress import Observer, standing
 from activefail.loop.running import run
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 def on(simulator: Simulator, extra: float = 0.05) -> Campaign:

@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
 from activefail.execution.executor import Arrived
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.threads import one_thread
 from activefail.loop import proposing  # noqa: F401 (as h5py: `ask` loads it only to propose)
 from activefail.loop.asking import ask
 from activefail.loop.in_flight import HandedOut
@@ -38,9 +40,7 @@ from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import NOTHING, Remembered
 from activefail.simulators.interface import Results, Simulator
-from activefail.space import Array
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.threads import one_thread
+from activefail.space.space import Array
 
 INITIAL, BUDGET, BATCH = 6, 12, 3
 COMMITS = BUDGET // BATCH

@@ -11,12 +11,12 @@ import pytest
 from patience import PATIENCE
 from PIL import Image
 
-from activefail.bearing import Bearing, Pulse, Response, simulate_one
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.motion import Motion
 from activefail.errors import ActivefailError, InputError
-from activefail.figures import animation
-from activefail.figures.animation import HOLD, MOST_FRAMES, default_slow_motion, render, save_animation
+from activefail.seismic.bearing import Bearing, Pulse, Response, simulate_one
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.motion import Motion
+from activefail.seismic.figures import animation
+from activefail.seismic.figures.animation import HOLD, MOST_FRAMES, default_slow_motion, render, save_animation
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import pytest
 from matplotlib.figure import Figure
 from patience import PATIENCE
 
-from activefail.bearing import Accelerogram, Bearing, Model, Pulse, Response, Tolerance, simulate_one
-from activefail.bearing.contact import gap
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.dynamics import lever
-from activefail.bearing.motion import LONGEST_STEP, Motion
-from activefail.bearing.outcome import observe
 from activefail.errors import InputError
-from activefail.figures import motion as m
+from activefail.seismic.bearing import Accelerogram, Bearing, Model, Pulse, Response, Tolerance, simulate_one
+from activefail.seismic.bearing.contact import gap
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.dynamics import lever
+from activefail.seismic.bearing.motion import LONGEST_STEP, Motion
+from activefail.seismic.bearing.outcome import observe
+from activefail.seismic.figures import motion as m
 
 FAILING = Bearing.from_table(4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9)
 TOUCHING = Bearing.from_table(2.64, 0.106, 0.599, 0.7375, 0.1813, 56.4, 3.12e9)
@@ -316,9 +316,9 @@ def test_drawing_leaves_the_users_settings_alone(failure):
 
 def test_matplotlib_is_imported_by_the_pictures_alone_and_pyplot_by_nothing():
     program = (
-        "import sys, activefail.bearing, activefail.figures.style\n"
+        "import sys, activefail.seismic.bearing, activefail.pages.figures.style\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "import activefail.figures.motion, activefail.figures.animation\n"
+        "import activefail.seismic.figures.motion, activefail.seismic.figures.animation\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=PATIENCE)

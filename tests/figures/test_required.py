@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from activefail.figures.risk import Mark, plot_required
-from activefail.findings.quantities import custom_quantity, quantity
-from activefail.risk.design.required_chart import RequiredChart
+from activefail.analyses.design.required_chart import RequiredChart
+from activefail.analyses.findings.quantities import custom_quantity, quantity
+from activefail.pages.figures.risk import Mark, plot_required
 
 SHOWN = {name: quantity(name) for name in ("D_tot", "T_b", "mu")}
 

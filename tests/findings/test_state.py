@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from campaign.stub import disc
 
+from activefail.analyses.findings.status import read_status
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder
+from activefail.estimates.error import verify
+from activefail.estimates.probability_estimator import Estimator
+from activefail.estimates.scores import learning_curve
+from activefail.estimates.stored_sets import VALIDATION, stored_set
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.status import read_status
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import accuracy, current
 from activefail.loop.running import run
+from activefail.pages.report.evidence import curve_of, evidence_of
 from activefail.record.run_folder import FolderStore
-from activefail.report.evidence import curve_of, evidence_of
-from activefail.surrogate.threads import one_thread
-from activefail.verification.error import verify
-from activefail.verification.probability_estimator import Estimator
-from activefail.verification.scores import learning_curve
-from activefail.verification.stored_sets import VALIDATION, stored_set
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 
+from activefail.analyses.findings.status import read_status
+from activefail.analyses.findings.summary import features_in_words
 from activefail.campaign.settings import parse_settings
 from activefail.errors import ActivefailError
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.status import read_status
-from activefail.findings.summary import features_in_words
 from activefail.loop.running import run
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.run_folder import FolderStore

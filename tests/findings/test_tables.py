@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from ran import Run
 
-from activefail.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
+from activefail.analyses.findings.tables import export_table, predict_table
 from activefail.errors import InputError
-from activefail.findings.tables import export_table, predict_table
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.bearing import TABLE_1, Model, Tolerance, simulate
+from activefail.seismic.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
 from activefail.seismic.tables import check_bearing, simulate_table
-from activefail.space import Array
-from activefail.surrogate.threads import one_thread
+from activefail.space.space import Array
 
 HEADER = ",".join(TABLE_1.names)
 GOOD = "4.0,0.06,0.6,0.8,0.1,50,2e9,2.0,0.4"

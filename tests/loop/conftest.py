@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from activefail.surrogate.threads import one_thread
+from activefail.learning.model.threads import one_thread
 
 
 @pytest.fixture(autouse=True)

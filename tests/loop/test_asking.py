@@ -32,7 +32,7 @@ from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 INITIAL_SIZE, BUDGET, BATCH = 12, 28, 4
 

@@ -32,7 +32,7 @@ from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
-from activefail.space import Array
+from activefail.space.space import Array
 
 INITIAL_SIZE, BUDGET, SIZE = 12, 30, 4
 
@@ -301,7 +301,7 @@ def test_interrupted_it_looks_at_its_error_when_it_would_have_without(
     monkeypatch: pytest.MonkeyPatch, every: bool
 ) -> None:
     # Every look that is due is taken, and none of them ends it.
-    monkeypatch.setattr("activefail.verification.error.could_show", lambda *_: True)
+    monkeypatch.setattr("activefail.estimates.error.could_show", lambda *_: True)
     campaign = plan(extra="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
 
     def looks(stopped: int | None) -> list[tuple[int, bool]]:

@@ -20,6 +20,11 @@ from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
 from activefail.execution.local import ThreadExecutor
+from activefail.learning.model import fitting
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.threads import one_thread
+from activefail.learning.model.training import train
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs
 from activefail.loop.learning import accuracy, current
@@ -30,12 +35,7 @@ from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
-from activefail.space import Array
-from activefail.surrogate import fitting
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.threads import one_thread
-from activefail.surrogate.training import train
+from activefail.space.space import Array
 
 INITIAL_SIZE, BUDGET, BATCH = 12, 28, 4
 COMMITS = BUDGET // BATCH

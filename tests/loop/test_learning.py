@@ -12,7 +12,7 @@ from activefail.loop.learning import accuracy, current, learn_from
 from activefail.loop.running import run
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,14 @@ import pytest
 from cases import some
 from rare import four_branch
 
+from activefail.analyses.findings.learned_from import choices_in_words
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.learned_from import choices_in_words
+from activefail.learning.model import margin
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.threads import one_thread
 from activefail.loop.asking import ask
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
@@ -24,9 +27,6 @@ from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
-from activefail.surrogate import margin
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.threads import one_thread
 
 PROBABILITY = 2.2225e-3
 

@@ -13,12 +13,12 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from surrogate.sampling import elliptical_slice_sampling
 from threadpoolctl import threadpool_limits
 
+from activefail.analyses.sensitivity.logistic import logistic_regression
 from activefail.errors import InputError
-from activefail.paper import gpml
-from activefail.paper import methods as reference
-from activefail.paper.gpml import SiteParameters, SquaredExponentialPrior
-from activefail.paper.methods import condition, train
-from activefail.risk.sensitivity.logistic import logistic_regression
+from activefail.seismic.paper import gpml
+from activefail.seismic.paper import methods as reference
+from activefail.seismic.paper.gpml import SiteParameters, SquaredExponentialPrior
+from activefail.seismic.paper.methods import condition, train
 
 METHODS = ("laplace", "ep")
 

@@ -12,18 +12,18 @@ from cases import some
 from commandline import activefail
 from scipy.special import expit
 
-from activefail.bearing import TABLE_1, Model, simulate
+from activefail.analyses.comparison.measures import expected_calibration_error
+from activefail.analyses.sensitivity.logistic import logistic_regression
 from activefail.cli import main
-from activefail.comparison.measures import expected_calibration_error
-from activefail.figures.paper_planes import PLANES
-from activefail.paper import published
-from activefail.paper import study as paper
-from activefail.paper.claims import BY_CHANCE, CONCLUSIONS, NOT_REPRODUCED, REPRODUCED, claims, medians_outside
-from activefail.paper.study import METHODS, SPLITS, TILTED, VARIANTS, Draw, Logistic, Process, run_study
-from activefail.report.reproduction import render, table_2, write_reproduction
-from activefail.risk.sensitivity.logistic import logistic_regression
-from activefail.sample_mean import Estimate
+from activefail.seismic.bearing import TABLE_1, Model, simulate
 from activefail.seismic.features import paper_features
+from activefail.seismic.figures.paper_planes import PLANES
+from activefail.seismic.ida.sample_mean import Estimate
+from activefail.seismic.paper import published
+from activefail.seismic.paper import study as paper
+from activefail.seismic.paper.claims import BY_CHANCE, CONCLUSIONS, NOT_REPRODUCED, REPRODUCED, claims, medians_outside
+from activefail.seismic.paper.reproduction import render, table_2, write_reproduction
+from activefail.seismic.paper.study import METHODS, SPLITS, TILTED, VARIANTS, Draw, Logistic, Process, run_study
 
 DOCS = Path(__file__).parents[2] / "docs"
 STUDY = {"draws": 2, "fresh": 60, "seed": 3}
@@ -272,7 +272,7 @@ def by_command(study, tmp_path_factory):
     shown = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(shown):
         patch.setattr(paper, "run_study", lambda *_: study)
-        patch.setattr("activefail.report.reproduction.PLANES", PLANES[:1])
+        patch.setattr("activefail.seismic.paper.reproduction.PLANES", PLANES[:1])
         patch.setattr(sys, "argv", ["activefail", "paper", "--draws", "4", "--out", str(folder)])
         with pytest.raises(SystemExit) as ended:
             main()
@@ -288,7 +288,9 @@ def test_the_command_writes_the_page_and_says_every_verdict(study, by_command):
 
 def test_the_command_prints_the_numbers_of_every_claim_as_json(study, tmp_path, monkeypatch):
     monkeypatch.setattr(paper, "run_study", lambda *_: study)
-    monkeypatch.setattr("activefail.report.reproduction.write_reproduction", lambda *_: tmp_path / "reproduction.md")
+    monkeypatch.setattr(
+        "activefail.seismic.paper.reproduction.write_reproduction", lambda *_: tmp_path / "reproduction.md"
+    )
     done = activefail("paper", "--out", tmp_path, "--json")
     assert done.code == 0, done.err
     shown = json.loads(done.out)

@@ -10,10 +10,10 @@ import pytest
 from faults.victim import elsewhere, opened
 from record.test_run_folder import STORED, WRITES, written
 
+from activefail.estimates import stored_sets
 from activefail.record.batch import COLUMNS, columns_of
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import EXECUTION_CAUSES
-from activefail.verification import stored_sets
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"
 PAGE = (FOLDER / "run-folder.md").read_text(encoding="utf-8")

@@ -12,12 +12,12 @@ from record.test_run_folder import SCHEMA, appended, batch, entries, written
 
 import activefail as af
 from activefail.campaign.results_table import Reading, ResultTable
-from activefail.csv_table import Table
 from activefail.errors import StoreError
 from activefail.record.events import Event
 from activefail.record.labels import labels_of, new_labels
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
+from activefail.text.csv_table import Table
 
 LAB = """
 seed = 3

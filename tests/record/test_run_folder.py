@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail import files
 from activefail.errors import BusyError, InputError, StoreError
 from activefail.record import journal as journal_module
 from activefail.record import run_folder as store_module
@@ -29,6 +28,7 @@ from activefail.record.events import Event, pack, unpack
 from activefail.record.journal import FIRST_LINE
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
+from activefail.text import files
 
 pytestmark = pytest.mark.faults
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from activefail.parameter import Parameter
-from activefail.reliability.design_point import design_point
-from activefail.space import DesignSpace
+from activefail.estimates.design_point import design_point
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 NORMAL = tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y", "z"))
 SPACE = DesignSpace(NORMAL)

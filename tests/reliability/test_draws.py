@@ -5,11 +5,11 @@ import pytest
 from scipy.stats import norm
 
 from activefail.campaign.settings import parse_settings
-from activefail.parameter import Parameter
-from activefail.reliability.draws import Rows, expected_draws, merged, systematic
-from activefail.reliability.estimate import gamma_quantile, plan_estimate, rows_of
-from activefail.space import Array, DesignSpace
-from activefail.weighted import WeightedRows
+from activefail.estimates.draws import Rows, expected_draws, merged, systematic
+from activefail.estimates.estimate import gamma_quantile, plan_estimate, rows_of
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows
 
 
 def tied(share: float) -> DesignSpace:

@@ -6,9 +6,7 @@ from rare import four_branch
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import (
+from activefail.estimates.estimate import (
     UNIFORM,
     Doubt,
     Plan,
@@ -16,10 +14,12 @@ from activefail.reliability.estimate import (
     deviation_of_margins,
     plan_estimate,
 )
-from activefail.reliability.integral import Standardised, boundary_of
-from activefail.space import DesignSpace
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.estimates.integral import Standardised, boundary_of
+from activefail.learning.features import feature_map
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr, ndtri
 from scipy.stats import ncx2
 
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import baseline
-from activefail.reliability.integral import ACCURACY, integrate
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.moments import nested_probits, outcome_probabilities
-from activefail.weighted import WeightedRows
+from activefail.estimates.estimate import baseline
+from activefail.estimates.integral import ACCURACY, integrate
+from activefail.learning.model.moments import nested_probits, outcome_probabilities
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows
 
 
 def normals(d: int) -> DesignSpace:

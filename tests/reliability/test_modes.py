@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from activefail.acquisition.population import population
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.reliability import modes
-from activefail.reliability.estimate import deviation_of_margins, plan_estimate
-from activefail.reliability.integral import boundary_of
-from activefail.reliability.modes import Events, corrected_modes, counted_modes
-from activefail.space import DesignSpace
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.training import fit_system
-from activefail.systems import parse_system
-from activefail.weighted import WeightedRows
+from activefail.estimates import modes
+from activefail.estimates.estimate import deviation_of_margins, plan_estimate
+from activefail.estimates.integral import boundary_of
+from activefail.estimates.modes import Events, corrected_modes, counted_modes
+from activefail.learning.criteria.population import population
+from activefail.learning.features import feature_map
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.training import fit_system
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
+from activefail.space.systems import parse_system
+from activefail.space.weighted import WeightedRows
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)

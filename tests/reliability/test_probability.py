@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.reliability.hidden import OUTSIDE, hidden_places
-from activefail.reliability.model_probability import model_probability
-from activefail.space import Array, DesignSpace, radius
-from activefail.surrogate.boundary_gp import joint
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.latent import Latent, VariationalGP
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.estimates.hidden import OUTSIDE, hidden_places
+from activefail.estimates.model_probability import model_probability
+from activefail.learning.features import feature_map
+from activefail.learning.model.boundary_gp import joint
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.latent import Latent, VariationalGP
+from activefail.learning.model.margin import MarginLatent, fit_margin
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace, radius
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)

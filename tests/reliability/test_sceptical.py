@@ -6,10 +6,10 @@ from cases import some
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import Plan, plan_estimate, plan_estimates
-from activefail.space import Array, DesignSpace
-from activefail.weighted import WeightedRows
+from activefail.estimates.estimate import Plan, plan_estimate, plan_estimates
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, "", "normal", 0.0, 1.0) for name in "uv"))
 LIMIT = 1.28

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 from matplotlib.figure import Figure
 
-from activefail.report import page
+from activefail.pages.report import page
 
 _SLOW = ("plot_pairs", "plot_outcome_planes", "plot_snapshots")
 

@@ -10,17 +10,17 @@ from report.browser import browser, console_errors, photograph, screenshots
 from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
 
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
-from activefail.campaign.hazard import read_hazard
+from activefail.analyses.design.design_task import Requirement
+from activefail.analyses.design.stored import stored_designs
 from activefail.campaign.inquiry import Inquiry
 from activefail.errors import InputError
-from activefail.opening import open_run
-from activefail.report.fragility_section import risk_findings, risk_options
-from activefail.risk.design.design_task import Requirement
-from activefail.risk.design.stored import stored_designs
-from activefail.session import estimating
-from activefail.shares import percent, significant
+from activefail.pages.report.fragility_section import risk_findings, risk_options
+from activefail.run.opening import open_run
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import VELOCITY_PER_ACCELERATION
+from activefail.seismic.hazard.hazard import read_hazard
+from activefail.session.session import estimating
+from activefail.space.shares import percent, significant
 
 LIMIT = f"""
 import math

@@ -17,26 +17,26 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from report.pictures import slow_pictures_empty
 
-from activefail.bearing.design import TABLE_1
+from activefail.analyses.comparison.static import remember_scores
+from activefail.analyses.findings import quantities
+from activefail.analyses.findings.results import findings_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
-from activefail.comparison.static import remember_scores
+from activefail.estimates.scores import Recall, Score
 from activefail.execution.local import ThreadExecutor
-from activefail.figures import curves, outcome_planes, samples, svg
-from activefail.figures.axes import outcome_colour
-from activefail.findings import quantities
-from activefail.findings.results import findings_of
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
 from activefail.loop.progress import Observer
 from activefail.loop.running import run
-from activefail.parameter import Parameter
+from activefail.pages.figures import curves, outcome_planes, samples, svg
+from activefail.pages.figures.axes import outcome_colour
+from activefail.pages.report import environment, evidence, page
 from activefail.record.run_folder import FolderStore
-from activefail.report import environment, evidence, page
+from activefail.seismic.bearing.design import TABLE_1
 from activefail.seismic.features import paper_features
-from activefail.shares import significant
-from activefail.surrogate.threads import one_thread
-from activefail.verification.scores import Recall, Score
+from activefail.space.parameter import Parameter
+from activefail.space.shares import significant
 
 SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),

@@ -10,10 +10,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 
-from activefail.campaign.question import Question
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import ProbabilityEstimate, plan_estimate
-from activefail.risk.fragility.band import (
+from activefail.analyses.fragility.band import (
     NOT_VERIFIED,
     VerifiedLevel,
     as_rows,
@@ -21,11 +18,14 @@ from activefail.risk.fragility.band import (
     levels_to_verify,
     verify,
 )
-from activefail.risk.fragility.curve import Curve, Ladder, Rate, fit_lognormal, risk_of, why_not_fitted
-from activefail.risk.fragility.exports import multilinear, openquake_model, pelicun_table
-from activefail.space import Array, DesignSpace
-from activefail.verification.probability_estimator import Sampled, error_of_rows
-from activefail.weighted import WeightedRows
+from activefail.analyses.fragility.curve import Curve, Ladder, Rate, fit_lognormal, risk_of, why_not_fitted
+from activefail.analyses.fragility.exports import multilinear, openquake_model, pelicun_table
+from activefail.campaign.question import Question
+from activefail.estimates.estimate import ProbabilityEstimate, plan_estimate
+from activefail.estimates.probability_estimator import Sampled, error_of_rows
+from activefail.space.parameter import Parameter
+from activefail.space.space import Array, DesignSpace
+from activefail.space.weighted import WeightedRows
 
 MEDIAN, BETA = 1.2, 0.4
 LADDER = Ladder("PGV", "m/s", 10.0 ** (np.arange(-24, 17) / 24.0), is_log=True)

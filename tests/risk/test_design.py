@@ -14,25 +14,25 @@ import pytest
 from commandline import CommandResult, activefail, refused
 from scipy.stats import norm
 
+from activefail.analyses.classifier_probability import classifier_probability
+from activefail.analyses.design.design_task import LOOKS, DesignTask, Requirement, confidence_of_bound, read_targets
+from activefail.analyses.design.findings import DesignFindings
+from activefail.analyses.design.required_chart import least_value, required_chart
+from activefail.analyses.design.search import Candidate, Designed, Look, cheapest, find_design, verifies
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
-from activefail.distributions import moments
 from activefail.errors import InputError
-from activefail.figures.risk import plot_looks
-from activefail.opening import open_run
-from activefail.parameter import Parameter
-from activefail.reliability.estimate import Plan, plan_estimate
-from activefail.report.analyses import render_design
-from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.design.design_task import LOOKS, DesignTask, Requirement, confidence_of_bound, read_targets
-from activefail.risk.design.findings import DesignFindings
-from activefail.risk.design.required_chart import least_value, required_chart
-from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design, verifies
-from activefail.run import Run
-from activefail.shares import percent
-from activefail.space import Array, Constraint, DesignSpace
-from activefail.verification.confidence_bounds import upper_bound
-from activefail.verification.probability_estimator import Sampled
+from activefail.estimates.confidence_bounds import upper_bound
+from activefail.estimates.estimate import Plan, plan_estimate
+from activefail.estimates.probability_estimator import Sampled
+from activefail.pages.figures.risk import plot_looks
+from activefail.pages.report.analyses import render_design
+from activefail.run.opening import open_run
+from activefail.run.run import Run
+from activefail.space.distributions import moments
+from activefail.space.parameter import Parameter
+from activefail.space.shares import percent
+from activefail.space.space import Array, Constraint, DesignSpace
 
 CAMPAIGN = """
 simulator = { python = "tank:run", outcomes = ["safe", "damage", "failure"] }

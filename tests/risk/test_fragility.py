@@ -15,19 +15,19 @@ import pytest
 from commandline import activefail, refused, sets
 from scipy.special import ndtr, ndtri
 
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION, velocity_of
-from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
+from activefail.analyses.fragility.band import Interval
+from activefail.analyses.fragility.findings import FragilityFindings
 from activefail.campaign.question import Question
 from activefail.campaign.settings import IF_CALLED, parse_settings
-from activefail.opening import open_run
-from activefail.reliability.integral import integral_of
-from activefail.report.analyses import curves_shown, write_fragility
-from activefail.risk.fragility.band import Interval
-from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.fragility.findings import FragilityFindings
-from activefail.shares import significant
-from activefail.space import Array
+from activefail.estimates.integral import integral_of
+from activefail.pages.report.analyses import curves_shown, write_fragility
+from activefail.run.opening import open_run
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import VELOCITY_PER_ACCELERATION, velocity_of
+from activefail.seismic.hazard.deaggregation import deaggregated
+from activefail.seismic.hazard.hazard import Hazard, hazard_question, read_hazard
+from activefail.space.shares import significant
+from activefail.space.space import Array
 
 MEDIAN, BETA = 1.2, 0.3
 """Of the peak ground velocity at failure [m/s]; damage begins at exp(−0.3) of it."""
@@ -345,7 +345,7 @@ def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
     cells: tuple[str, str],
 ) -> None:  # fmt: skip
     interval = Interval(verified, low, None, 0.95, "the levels end")
-    monkeypatch.setattr("activefail.risk.fragility.findings.capacity_interval", lambda *_: interval)
+    monkeypatch.setattr("activefail.analyses.fragility.findings.capacity_interval", lambda *_: interval)
     shown = curves_shown(uncertain, {})
     level = uncertain.boundaries[-1].curve.capacity(0.5).level
     assert level is not None
@@ -355,7 +355,7 @@ def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
     assert shown["lacks_interval"]
     whole, of_failure = Interval(1.3, 1.1, 1.5, 0.95, None), uncertain.boundaries[-1].curve
     monkeypatch.setattr(
-        "activefail.risk.fragility.findings.capacity_interval",
+        "activefail.analyses.fragility.findings.capacity_interval",
         lambda curve, *_: whole if curve is of_failure else interval,
     )
     assert not curves_shown(uncertain, {})["lacks_interval"]
@@ -375,7 +375,7 @@ def test_the_command_shows_a_curve_against_any_variable(
     page = (tmp_path / "fragility.html").read_text()
     assert "<code>--verify 250</code> gives intervals" in page
     interval = Interval(1.0, 0.9, 1.1, 0.95, None)
-    monkeypatch.setattr("activefail.risk.fragility.findings.capacity_interval", lambda *_: interval)
+    monkeypatch.setattr("activefail.analyses.fragility.findings.capacity_interval", lambda *_: interval)
     verified = activefail(*command, "--verify", "20", "--out", tmp_path / "verified")
     assert verified.code == 0, verified.err
     page = (tmp_path / "verified" / "fragility.html").read_text()

@@ -16,15 +16,13 @@ from scipy.stats import norm
 
 import activefail as af
 from activefail import create_run, open_run
-from activefail.bearing import TABLE_1, Accelerogram, simulate_records
-from activefail.bearing.design import GRAVITY, Model, Tolerance
-from activefail.bearing.outcome import CAUSES
-from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
-from activefail.intensity import Intensity, spectral_acceleration
-from activefail.json_text import json_text
-from activefail.risk.ida import simulations as module
-from activefail.risk.ida.capacity import (
+from activefail.seismic.bearing import TABLE_1, Accelerogram, simulate_records
+from activefail.seismic.bearing.design import GRAVITY, Model, Tolerance
+from activefail.seismic.bearing.outcome import CAUSES
+from activefail.seismic.bearing.pulse import ground_acceleration
+from activefail.seismic.ida import simulations as module
+from activefail.seismic.ida.capacity import (
     BISECTIONS,
     Agreement,
     Answers,
@@ -34,12 +32,14 @@ from activefail.risk.ida.capacity import (
     capacities_near,
     ladder,
 )
-from activefail.risk.ida.capacity import LEVELS as LADDER
-from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
-from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.p695 import MarginOptions
-from activefail.risk.ida.simulations import BearingSubject, Kept
+from activefail.seismic.ida.capacity import LEVELS as LADDER
+from activefail.seismic.ida.collapse import LARGEST, fit_lognormal, fitted
+from activefail.seismic.ida.equivalent_pulse import compare_pulses, equivalent_pulse
+from activefail.seismic.ida.p695 import MarginOptions
+from activefail.seismic.ida.simulations import BearingSubject, Kept
+from activefail.seismic.motions.intensity import Intensity, spectral_acceleration
 from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.text.json_text import json_text
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 SUBJECT = BearingSubject(BEARING, Model(), Tolerance())

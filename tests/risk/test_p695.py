@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail.accelerogram_sets import read_record_set
-from activefail.bearing import Accelerogram
-from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
-from activefail.intensity import Intensity, spectral_acceleration
-from activefail.risk.ida import simulations
-from activefail.risk.ida.p695 import (
+from activefail.seismic.bearing import Accelerogram
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.ida import simulations
+from activefail.seismic.ida.p695 import (
     MarginOptions,
     MarginRequest,
     normalised_intensity,
     shape_factor,
     total_dispersion,
 )
-from activefail.space import Array
+from activefail.seismic.motions.accelerogram_sets import read_record_set
+from activefail.seismic.motions.intensity import Intensity, spectral_acceleration
+from activefail.space.space import Array
 
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
 

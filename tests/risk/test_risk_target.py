@@ -11,13 +11,13 @@ from commandline import activefail, refused
 from scipy.stats import norm
 
 from activefail import open_run
-from activefail.campaign.hazard import Hazard, hazard_of
+from activefail.analyses.design.design_task import Requirement, read_targets
+from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.errors import InputError
-from activefail.risk.design.design_task import Requirement, read_targets
-from activefail.risk.design.risk_target import at_risk, pulses_of_curve
-from activefail.risk.fragility.curve import Curve, Ladder, Rate, risk_of
-from activefail.space import Array
-from activefail.weighted import WeightedRows
+from activefail.seismic.hazard.hazard import Hazard, hazard_of
+from activefail.seismic.hazard.risk_target import at_risk, pulses_of_curve
+from activefail.space.space import Array
+from activefail.space.weighted import WeightedRows
 
 VELOCITIES, RATES = [0.2, 0.5, 1.0, 2.0], [1e-2, 2e-3, 4e-4, 5e-5]
 

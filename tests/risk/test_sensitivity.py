@@ -11,19 +11,19 @@ from commandline import activefail, refused, table
 from scipy.special import ndtri
 
 from activefail import open_run
-from activefail.bearing.pulse import velocity_of
+from activefail.analyses.classifier_probability import classifier_probability
+from activefail.analyses.sensitivity import calculation as module
+from activefail.analyses.sensitivity.calculation import default_samples, sensitivity
+from activefail.analyses.sensitivity.logistic import variable_p_values
+from activefail.analyses.sensitivity.sobol import Estimate, decomposed
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.inquiry import Inquiry
 from activefail.loop.history import History
-from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.sensitivity import calculation as module
-from activefail.risk.sensitivity.calculation import default_samples, sensitivity
-from activefail.risk.sensitivity.logistic import variable_p_values
-from activefail.risk.sensitivity.sobol import Estimate, decomposed
-from activefail.run import Run
+from activefail.run.run import Run
+from activefail.seismic.bearing.pulse import velocity_of
+from activefail.seismic.hazard.hazard import hazard_question, read_hazard
 from activefail.simulators.interface import Results
-from activefail.space import Array
+from activefail.space.space import Array
 
 CAMPAIGN = """
 simulator = { python = "blocks:reserve", margins = ["reserve"] }

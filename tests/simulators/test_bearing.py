@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from activefail import TABLE_1
+from activefail.analyses.design.findings import DesignFindings
+from activefail.analyses.findings.results import predict
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import hazard_question, read_hazard
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.findings.results import predict
+from activefail.estimates.integral import BoundariesOf, integrate
+from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
-from activefail.reliability.integral import BoundariesOf, integrate
-from activefail.risk.design.findings import DesignFindings
-from activefail.simulators.bearing import DfpSimulator, terms_of
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.threads import one_thread
+from activefail.seismic.hazard.hazard import hazard_question, read_hazard
+from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.space.space import Array, DesignSpace
 
 CAMPAIGN = 'seed = 1\nsampling = { initial = 40, budget = 40 }\nclassifier.features = "paper"'
 

@@ -31,7 +31,6 @@ from activefail.campaign.sections import PythonSimulatorSettings
 from activefail.errors import InputError
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor, local_executor
-from activefail.parameter import Parameter
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import (
@@ -44,7 +43,8 @@ from activefail.simulators.interface import (
 )
 from activefail.simulators.returned import read_answer
 from activefail.simulators.user_code import digest_without_running
-from activefail.space import DesignSpace
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
 X = np.array([[1.0 / 3.0, 1.5], [2.5, 2.0], [3.7, 2.9]])

@@ -17,7 +17,7 @@ from commandline import activefail
 from scipy.signal import lsim
 
 from activefail import create_run
-from activefail.bearing.pulse import ground_acceleration
+from activefail.seismic.bearing.pulse import ground_acceleration
 from activefail.simulators.placeholders import filled_file
 from activefail.simulators.user_code import load_function
 

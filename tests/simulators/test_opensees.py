@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from commandline import activefail, record, table
 
-from activefail.accelerogram_sets import read_record_set
-from activefail.bearing import (
+from activefail.campaign.settings import read_settings
+from activefail.seismic.bearing import (
     TABLE_1,
     Accelerogram,
     Bearing,
@@ -24,10 +24,10 @@ from activefail.bearing import (
     simulate_one,
     simulate_records,
 )
-from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import ground_acceleration
-from activefail.campaign.settings import read_settings
-from activefail.space import Array
+from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.bearing.pulse import ground_acceleration
+from activefail.seismic.motions.accelerogram_sets import read_record_set
+from activefail.space.space import Array
 
 CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
 PROGRAM = CAMPAIGNS / "opensees_model.py"

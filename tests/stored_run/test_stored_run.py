@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, simulate_one
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.provenance import provenance
 from activefail.loop.history import History
 from activefail.loop.learning import classifier_after
 from activefail.loop.saved_learning import saved_current
 from activefail.record.journal import Journal
+from activefail.seismic.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, simulate_one
 
 STORED = Path(__file__).parent / "paper"
 

@@ -13,31 +13,10 @@ import pytest
 from commandline import activefail, refused
 from scipy.stats import beta, norm
 
-from activefail.analyses import probability
-from activefail.campaign.assembly import Campaign
-from activefail.campaign.finite import FiniteValues
-from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import Question, asked_of
-from activefail.campaign.settings import parse_settings
-from activefail.errors import InputError
-from activefail.execution.executor import Arrived
-from activefail.execution.local import ThreadExecutor
-from activefail.loop.history import History
-from activefail.loop.learning import current
-from activefail.loop.running import run
-from activefail.opening import open_run
-from activefail.parameter import Parameter
-from activefail.progress import silent
-from activefail.record.batch import GIVEN
-from activefail.record.memory import MemoryStore
-from activefail.risk.design.by_stripes import design_by_stripes
-from activefail.risk.design.design_task import Requirement, design_task
-from activefail.risk.design.findings import DesignFindings
-from activefail.risk.ida.collapse import fit_lognormal
-from activefail.shares import significant
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
-from activefail.space import Array, DesignSpace
-from activefail.stripes.intervals import (
+from activefail.analyses.design.by_stripes import design_by_stripes
+from activefail.analyses.design.design_task import Requirement, design_task
+from activefail.analyses.design.findings import DesignFindings
+from activefail.analyses.stripes.intervals import (
     Checked,
     SureWrong,
     deviations,
@@ -46,9 +25,30 @@ from activefail.stripes.intervals import (
     of_others,
     of_these,
 )
-from activefail.stripes.stripe import Round, Stripe, Stripes
-from activefail.surrogate.moments import Moments
-from activefail.surrogate.threads import one_thread
+from activefail.analyses.stripes.stripe import Round, Stripe, Stripes
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.finite import FiniteValues
+from activefail.campaign.inquiry import Inquiry
+from activefail.campaign.question import Question, asked_of
+from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError
+from activefail.execution.executor import Arrived
+from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.moments import Moments
+from activefail.learning.model.threads import one_thread
+from activefail.loop.history import History
+from activefail.loop.learning import current
+from activefail.loop.running import run
+from activefail.record.batch import GIVEN
+from activefail.record.memory import MemoryStore
+from activefail.run.analyses import probability
+from activefail.run.opening import open_run
+from activefail.seismic.ida.collapse import fit_lognormal
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
+from activefail.space.parameter import Parameter
+from activefail.space.shares import significant
+from activefail.space.space import Array, DesignSpace
+from activefail.text.progress import silent
 
 VALUES = 30
 

@@ -4,9 +4,9 @@ import gpytorch
 import numpy as np
 import torch
 
-from activefail.surrogate.fitting import outcome_prior
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.sites import Sites
+from activefail.learning.model.fitting import outcome_prior
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.sites import Sites
 
 RBF, MATERN52 = VariationalGP("rbf"), VariationalGP("matern52")
 

@@ -11,12 +11,12 @@ from botorch.acquisition.active_learning import qNegIntegratedPosteriorVariance
 from botorch.exceptions.errors import UnsupportedError
 from surrogate.labelled import MATERN52, RBF, points, prior
 
-from activefail.surrogate.boundary_gp import SiteStrategy, fantasised, joint, marginal, moments
-from activefail.surrogate.fitting import condition, fit
-from activefail.surrogate.inducing import jittered
-from activefail.surrogate.latent import Latent
-from activefail.surrogate.likelihoods import expected_precision
-from activefail.surrogate.margin import MarginLatent, fit_margin
+from activefail.learning.model.boundary_gp import SiteStrategy, fantasised, joint, marginal, moments
+from activefail.learning.model.fitting import condition, fit
+from activefail.learning.model.inducing import jittered
+from activefail.learning.model.latent import Latent
+from activefail.learning.model.likelihoods import expected_precision
+from activefail.learning.model.margin import MarginLatent, fit_margin
 
 FRESH = points(30, seed=9)[0]
 
@@ -27,7 +27,7 @@ def exact(monkeypatch):
 
 
 def projected(monkeypatch):
-    monkeypatch.setattr("activefail.surrogate.fitting.EXACT", 100)
+    monkeypatch.setattr("activefail.learning.model.fitting.EXACT", 100)
     F, y = points(300, noise=0.1)
     return condition(prior("matern52", outputscale=25.0), F, y, tolerance=1e-6)
 

@@ -6,13 +6,13 @@ import torch
 from scipy.stats import norm
 from surrogate.labelled import MATERN52, RBF
 
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.fitting import fit
-from activefail.surrogate.moments import Moments
-from activefail.surrogate.training import train
+from activefail.learning.features import feature_map
+from activefail.learning.model.classifier import Classifier
+from activefail.learning.model.fitting import fit
+from activefail.learning.model.moments import Moments
+from activefail.learning.model.training import train
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 10.0, 20.0)))
 FEATURES = feature_map("design", SPACE)

@@ -20,13 +20,13 @@ from surrogate.labelled import (
 )
 from surrogate.sampling import elliptical_slice_sampling
 
-from activefail.surrogate import fitting
-from activefail.surrogate import sites as sites_module
-from activefail.surrogate.fitting import condition, fit, objective_gradient, outcome_prior
-from activefail.surrogate.inducing import jittered
-from activefail.surrogate.latent import Latent
-from activefail.surrogate.likelihoods import Probit, expectations
-from activefail.surrogate.sites import Sites, Whole, posterior, solve_sites
+from activefail.learning.model import fitting
+from activefail.learning.model import sites as sites_module
+from activefail.learning.model.fitting import condition, fit, objective_gradient, outcome_prior
+from activefail.learning.model.inducing import jittered
+from activefail.learning.model.latent import Latent
+from activefail.learning.model.likelihoods import Probit, expectations
+from activefail.learning.model.sites import Sites, Whole, posterior, solve_sites
 
 
 def whole(of, F):

@@ -8,11 +8,11 @@ import pytest
 import torch
 from surrogate.labelled import MATERN52, first_sites, points, prior
 
-from activefail.surrogate import fitting, inducing
-from activefail.surrogate.fitting import Fit, condition, fit
-from activefail.surrogate.latent import Latent
-from activefail.surrogate.likelihoods import Probit
-from activefail.surrogate.sites import Projection, Sites, Whole, posterior, solve_sites
+from activefail.learning.model import fitting, inducing
+from activefail.learning.model.fitting import Fit, condition, fit
+from activefail.learning.model.latent import Latent
+from activefail.learning.model.likelihoods import Probit
+from activefail.learning.model.sites import Projection, Sites, Whole, posterior, solve_sites
 
 points = partial(points, m=3, noise=0.1)
 PRIOR = prior("matern52", 3, outputscale=25.0, lengthscale=1.5)

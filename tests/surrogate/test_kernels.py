@@ -8,7 +8,7 @@ import torch
 from scipy.stats import norm
 from surrogate.labelled import points, prior
 
-from activefail.surrogate.fitting import outcome_prior
+from activefail.learning.model.fitting import outcome_prior
 
 STOCK = {"rbf": gpytorch.kernels.RBFKernel, "matern52": gpytorch.kernels.MaternKernel}
 SCALES = torch.tensor([0.67, 2.5, 1.1], dtype=torch.float64)

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 from surrogate.labelled import Mislabelled
 
-from activefail.surrogate.likelihoods import Probit, expectations, expected_precision, probability
+from activefail.learning.model.likelihoods import Probit, expectations, expected_precision, probability
 
 
 def tensor(*values):

@@ -10,12 +10,12 @@ from rare import four_branch
 from scipy import stats
 from surrogate.labelled import flattened, numerical_gradient
 
-from activefail.surrogate import margin as m
-from activefail.surrogate import margin_data
-from activefail.surrogate.censored import CensoredSites, censored_posterior, first_sites
-from activefail.surrogate.margin import MarginLatent, fit_margin, margin_prior, penalised_likelihood
-from activefail.surrogate.margin_data import informative, is_truncated
-from activefail.surrogate.training import fit_defined, outcome_score
+from activefail.learning.model import margin as m
+from activefail.learning.model import margin_data
+from activefail.learning.model.censored import CensoredSites, censored_posterior, first_sites
+from activefail.learning.model.margin import MarginLatent, fit_margin, margin_prior, penalised_likelihood
+from activefail.learning.model.margin_data import informative, is_truncated
+from activefail.learning.model.training import fit_defined, outcome_score
 
 RNG = np.random.default_rng(5)
 Z = RNG.standard_normal((24, 2)) * 1.6

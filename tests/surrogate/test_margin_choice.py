@@ -5,8 +5,8 @@ import pytest
 from rare import four_branch
 from surrogate.labelled import RBF
 
-from activefail.surrogate.margin_choice import OUTCOMES, Choice, is_due, usable
-from activefail.surrogate.training import choose, fit_defined
+from activefail.learning.model.margin_choice import OUTCOMES, Choice, is_due, usable
+from activefail.learning.model.training import choose, fit_defined
 
 RNG = np.random.default_rng(0)
 X = 2.0 * RNG.standard_normal((60, 2))

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from surrogate.labelled import MATERN52, RBF
 
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate import fitting, margin, margin_data
-from activefail.surrogate.latent import VariationalGP
-from activefail.surrogate.margin_choice import LearnableMargins
-from activefail.surrogate.saved import saved_classifier
-from activefail.surrogate.state import classifier_from_state, classifier_state
-from activefail.surrogate.training import train
+from activefail.learning.features import feature_map
+from activefail.learning.model import fitting, margin, margin_data
+from activefail.learning.model.latent import VariationalGP
+from activefail.learning.model.margin_choice import LearnableMargins
+from activefail.learning.model.saved import saved_classifier
+from activefail.learning.model.state import classifier_from_state, classifier_state
+from activefail.learning.model.training import train
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 1.0, 20.0, distribution="log_uniform")))
 FEATURES = feature_map("design", SPACE)
@@ -126,6 +126,8 @@ def test_a_state_that_training_cannot_produce_is_refused(name, array):
 
 @pytest.mark.parametrize("module", ["saved", "classifier"])
 def test_what_predicts_from_a_saved_state_loads_no_torch(module):
-    code = f"import sys, activefail.surrogate.{module}; print(*{{'torch', 'gpytorch', 'botorch'}} & set(sys.modules))"
+    code = (
+        f"import sys, activefail.learning.model.{module}; print(*{{'torch', 'gpytorch', 'botorch'}} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

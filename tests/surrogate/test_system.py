@@ -5,18 +5,18 @@ import pytest
 import torch
 from surrogate.labelled import RBF
 
-from activefail.acquisition.by_margin import DoubtReduction
-from activefail.features import feature_map
-from activefail.parameter import Parameter
-from activefail.space import DesignSpace
-from activefail.surrogate.boundary_gp import parts_of
-from activefail.surrogate.margin import MarginLatent
-from activefail.surrogate.margin_choice import OUTCOMES, LearnableMargins, usable
-from activefail.surrogate.saved import saved_classifier
-from activefail.surrogate.state import classifier_from_state, classifier_state
-from activefail.surrogate.system import SystemLatent
-from activefail.surrogate.training import fit_defined, fit_system, train
-from activefail.systems import parse_system
+from activefail.learning.criteria.by_margin import DoubtReduction
+from activefail.learning.features import feature_map
+from activefail.learning.model.boundary_gp import parts_of
+from activefail.learning.model.margin import MarginLatent
+from activefail.learning.model.margin_choice import OUTCOMES, LearnableMargins, usable
+from activefail.learning.model.saved import saved_classifier
+from activefail.learning.model.state import classifier_from_state, classifier_state
+from activefail.learning.model.system import SystemLatent
+from activefail.learning.model.training import fit_defined, fit_system, train
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
+from activefail.space.systems import parse_system
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)

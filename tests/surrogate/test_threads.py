@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import activefail as af
 from activefail.execution.local import ThreadExecutor
-from activefail.surrogate.boundary_gp import SiteStrategy
-from activefail.surrogate.saved import SavedLatent
+from activefail.learning.model.boundary_gp import SiteStrategy
+from activefail.learning.model.saved import SavedLatent
 
 CAMPAIGN = """
 simulator = {{ python = "ring:run"{margins} }}

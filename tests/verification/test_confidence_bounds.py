@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import beta, binom
 
-from activefail.verification.confidence_bounds import StratifiedCount, upper_bound
-from activefail.verification.error import confidence_of_look
+from activefail.estimates.confidence_bounds import StratifiedCount, upper_bound
+from activefail.estimates.error import confidence_of_look
 
 ALL_SAFE = ([1.0, 0.0, 0.0, 0.0, 0.0], [1, 0, 0, 0, 0])
 RARE = ([0.97, 0.01, 0.01, 0.005, 0.005], [0.75, 0.03, 0.05, 0.07, 0.1])

@@ -10,19 +10,7 @@ from scipy.stats import norm
 
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
-from activefail.execution.local import ThreadExecutor
-from activefail.loop.history import History
-from activefail.loop.learning import current
-from activefail.loop.progress import Observer, standing
-from activefail.loop.running import run
-from activefail.parameter import Parameter
-from activefail.record.memory import MemoryStore
-from activefail.report.evidence import evidence_of
-from activefail.simulators.interface import Results
-from activefail.space import DesignSpace
-from activefail.surrogate.moments import MarginMoments
-from activefail.surrogate.threads import one_thread
-from activefail.verification.error import (
+from activefail.estimates.error import (
     EDGES,
     Verification,
     confidence_of_look,
@@ -33,9 +21,21 @@ from activefail.verification.error import (
     verify,
     verify_by_rule,
 )
-from activefail.verification.probability_estimator import Estimator
-from activefail.verification.scores import error_of, last_error
-from activefail.verification.stored_sets import looks_before
+from activefail.estimates.probability_estimator import Estimator
+from activefail.estimates.scores import error_of, last_error
+from activefail.estimates.stored_sets import looks_before
+from activefail.execution.local import ThreadExecutor
+from activefail.learning.model.moments import MarginMoments
+from activefail.learning.model.threads import one_thread
+from activefail.loop.history import History
+from activefail.loop.learning import current
+from activefail.loop.progress import Observer, standing
+from activefail.loop.running import run
+from activefail.pages.report.evidence import evidence_of
+from activefail.record.memory import MemoryStore
+from activefail.simulators.interface import Results
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 
 def learned(seed=1, budget=40, **settings):
@@ -266,8 +266,8 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
         before = counting.rows
         verified = verify(Estimator(campaign, store, executor, classifier, 0), 100, 0.9)
         with (
-            mock.patch("activefail.verification.error.could_show", return_value=True),
-            mock.patch("activefail.verification.error.expected_error", return_value=0.0),
+            mock.patch("activefail.estimates.error.could_show", return_value=True),
+            mock.patch("activefail.estimates.error.expected_error", return_value=0.0),
         ):
             looked, _ = verify_by_rule(Estimator(campaign, store, executor, classifier, 0))
         assert counting.rows == before + 100
@@ -283,8 +283,8 @@ def test_the_faults_of_a_look_reach_the_caller():
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 20, use_stop_rule=False)
         with (
-            mock.patch("activefail.verification.error.could_show", return_value=True),
-            mock.patch("activefail.verification.error.expected_error", return_value=0.0),
+            mock.patch("activefail.estimates.error.could_show", return_value=True),
+            mock.patch("activefail.estimates.error.expected_error", return_value=0.0),
         ):
             run(campaign, store, executor, 20, observer)
     X, _ = store.read_set("look-0-100-0")

@@ -7,16 +7,16 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
+from activefail.estimates.estimate import plan_estimate
+from activefail.estimates.probability_estimator import Estimator, Sampled
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.running import run
-from activefail.parameter import Parameter
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import plan_estimate
 from activefail.simulators.interface import Results
-from activefail.space import DesignSpace
-from activefail.verification.probability_estimator import Estimator, Sampled
+from activefail.space.parameter import Parameter
+from activefail.space.space import DesignSpace
 
 
 @dataclass(frozen=True)

@@ -9,19 +9,19 @@ from cases import some
 from commandline import activefail
 from rare import four_branch
 
+from activefail.analyses.findings.summary import Summary
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.estimates.confidence_bounds import unseen_outcomes
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.progress import Observer
 from activefail.loop.proposing import search_for_unseen
 from activefail.loop.running import run
-from activefail.opening import create_run
 from activefail.record.memory import MemoryStore
+from activefail.run.opening import create_run
 from activefail.simulators.interface import Results
-from activefail.verification.confidence_bounds import unseen_outcomes
 
 
 class FourBranch:
@@ -204,7 +204,7 @@ def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is
 
 
 def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():
-    from activefail.shares import bounds_percent, interval_percent, percent
+    from activefail.space.shares import bounds_percent, interval_percent, percent
 
     assert [percent(p) for p in (0.5, 0.9995, 0.99996, 1.0, 0.0, 1e-5, 1e-12)] == [
         "50.0 %", "99.95 %", "99.996 %", "100 %", "0 %", "0.001 %", "< 0.000001 %",

@@ -1,0 +1,1 @@
+"""From a campaign to answers: findings, probabilities, curves, designs, sensitivity, comparisons."""

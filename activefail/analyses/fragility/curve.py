@@ -1,0 +1,250 @@
+"""A probability against one variable, on a ladder of levels: its capacities, its lognormal fit, and its risk."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import ndtr
+
+from activefail.space.shares import percent
+from activefail.space.space import Array
+
+_LEAST, _MOST = 0.1, 0.5
+"""A curve that stays above the first or below the second has no median to fit."""
+
+_STARTS = (0.1, 0.3, 0.8)
+"""Dispersions from which the fit begins."""
+
+YEARS = 50.0
+"""Years of the stated risk."""
+
+_STEPS = 2000
+"""Steps of the integral."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """Fixed levels of a variable."""
+
+    name: str  # of the variable
+    unit: str  # its unit
+    levels: Array  # (n,) increasing
+    is_log: bool  # whether the steps are equal in the logarithm, in which curves are then interpolated
+    in_steps: bool = False  # whether the variable has no values between the levels
+
+    def coordinate(self, levels: Array) -> Array:
+        """Levels, or their logarithms."""
+        return np.log(levels) if self.is_log else np.asarray(levels)
+
+    def level(self, coordinate: float) -> float:
+        """The level at a coordinate."""
+        return float(np.exp(coordinate)) if self.is_log else float(coordinate)
+
+
+class Capacity(NamedTuple):
+    """The level at which a curve first exceeds a probability; if there is none, the reason."""
+
+    level: float | None
+    reason: str | None = None
+
+
+class Fall(NamedTuple):
+    """The largest fall of a curve against its direction, in probability, and the levels between which it falls."""
+
+    size: float
+    start: float
+    end: float
+
+
+def first_above(coordinates: Array, values: Array, p: float) -> float | None:
+    """The coordinate at which values, linear in between, first exceed p; None if never, or at once."""
+    above = np.flatnonzero(values > p)
+    if not len(above) or above[0] == 0:
+        return None
+    last, first = above[0] - 1, above[0]
+    share = (p - values[last]) / (values[first] - values[last])
+    return float(coordinates[last] + share * (coordinates[first] - coordinates[last]))
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The probability beyond a boundary at each level of a ladder.
+
+    Most curves rise with the level, as with the intensity of an earthquake. Those that fall, as with a displacement
+    capacity, are read from their upper end. Either way, a capacity is where the curve first exceeds a probability,
+    seen from its safe end: a curve that falls back afterwards does not regain it.
+    """
+
+    ladder: Ladder  # its levels
+    probability: Array  # (n,)
+    resolution: float  # largest error of the integration over the other variables, estimated
+
+    @property
+    def rises(self) -> bool:
+        """Whether the curve ends higher than it begins."""
+        return bool(self.probability[-1] >= self.probability[0])
+
+    @property
+    def from_the_safe_end(self) -> tuple[Array, Array]:
+        """Coordinates of the levels and probabilities, (n,) each, from the end where the curve is low."""
+        step = 1 if self.rises else -1
+        return self.ladder.coordinate(self.ladder.levels)[::step], self.probability[::step]
+
+    def at(self, levels: Array | float) -> Array:
+        """Probabilities at levels, interpolated; constant beyond the ladder."""
+        coordinates = self.ladder.coordinate(np.asarray(levels, dtype=np.float64))
+        return np.interp(coordinates, self.ladder.coordinate(self.ladder.levels), self.probability)
+
+    def capacity(self, p: float) -> Capacity:
+        """The level at which the curve first exceeds a probability."""
+        coordinates, values = self.from_the_safe_end
+        crossing = first_above(coordinates, values, p)
+        if crossing is not None and self.ladder.in_steps:
+            crossing = float(coordinates[np.argmax(values > p)])
+        if crossing is not None:
+            return Capacity(self.ladder.level(crossing))
+        ends = self.ladder.levels[:: 1 if self.rises else -1]
+        if values[0] > p:
+            return Capacity(None, f"the curve already exceeds {percent(p)} at its first level, {ends[0]:.3g}")
+        return Capacity(None, f"the curve stays below {percent(p)} up to its last level, {ends[-1]:.3g}")
+
+    @property
+    def fall(self) -> Fall | None:
+        """The largest fall against the curve's direction; None if it is not larger than the resolution."""
+        coordinates, values = self.from_the_safe_end
+        highest = np.maximum.accumulate(values)
+        end = int(np.argmax(highest - values))
+        size = float(highest[end] - values[end])
+        if size <= self.resolution:
+            return None
+        start = int(np.argmax(values[: end + 1]))
+        return Fall(size, self.ladder.level(coordinates[start]), self.ladder.level(coordinates[end]))
+
+
+class Lognormal(NamedTuple):
+    """A lognormal curve beside another curve."""
+
+    median: float
+    dispersion: float  # β, the standard deviation of the level's logarithm
+    largest_misfit: float  # largest difference to the curve at a level of the ladder
+    largest_misfit_at: float  # this level
+    rises: bool
+
+    def at(self, levels: Array | float) -> Array:
+        """Probabilities at levels."""
+        z = np.log(np.asarray(levels) / self.median) / self.dispersion
+        return np.asarray(ndtr(z if self.rises else -z))
+
+
+def why_not_fitted(curve: Curve) -> str:
+    """Why no lognormal curve is fitted; empty if one is."""
+    if curve.ladder.levels[0] <= 0.0:
+        return "some levels of the curve are not positive"
+    if curve.probability.max() < _MOST or curve.probability.min() > _LEAST:
+        return f"the curve does not cover {100.0 * _LEAST:g} % to {100.0 * _MOST:g} %"
+    return ""
+
+
+def fit_lognormal(curve: Curve) -> Lognormal | None:
+    """The lognormal curve with the least integral of the squared difference over the logarithm of the level.
+
+    Returns:
+        None if `why_not_fitted` gives a reason.
+    """
+    if why_not_fitted(curve):
+        return None
+    logarithms, sign = np.log(curve.ladder.levels), 1.0 if curve.rises else -1.0
+    root_width = np.sqrt(np.gradient(logarithms))
+
+    def differences(numbers: Array) -> Array:
+        return np.asarray(ndtr(sign * (logarithms - numbers[0]) * math.exp(-numbers[1])) - curve.probability)
+
+    middle = curve.capacity(_MOST).level or float(curve.ladder.levels[np.argmax(curve.probability)])
+    fits = [
+        least_squares(lambda x: root_width * differences(x), [math.log(middle), math.log(start)]) for start in _STARTS
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    return beside(curve, math.exp(best.x[0]), math.exp(best.x[1]))
+
+
+def beside(curve: Curve, median: float, dispersion: float) -> Lognormal:
+    """A lognormal curve beside a curve."""
+    fit = Lognormal(median, dispersion, 0.0, 0.0, curve.rises)
+    missed = np.abs(fit.at(curve.ladder.levels) - curve.probability)
+    worst = int(np.argmax(missed))
+    at = float(curve.ladder.levels[worst])
+    return fit._replace(largest_misfit=float(missed[worst]), largest_misfit_at=at)
+
+
+@dataclass(frozen=True, eq=False)
+class Rate:
+    """How often pulses occur: those of at least the first velocity of a hazard's curve. Weaker ones are left out."""
+
+    velocities: Array  # (m,) of the curve, increasing [m/s]
+    rates: Array  # (m,) at which they are exceeded, decreasing [1/year]
+    years: float = YEARS  # of a risk
+
+    @property
+    def annual(self) -> float:
+        """Rate of pulses of at least `velocity` [1/year]."""
+        return float(self.rates[0])
+
+    @property
+    def velocity(self) -> float:
+        """The least velocity of the curve [m/s]."""
+        return float(self.velocities[0])
+
+    def exceeding(self, levels: Array) -> Array:
+        """Annual rates at which levels, (n,), are exceeded: linear in logarithms, extrapolated by the end's slope."""
+        x, y, at = np.log(self.velocities), np.log(self.rates), np.log(levels)
+        segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        slope = np.diff(y) / np.diff(x)
+        return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
+
+    def risk(self, probability: float) -> float:
+        """The probability of at least one occurrence in these years, given its probability in one pulse."""
+        return -math.expm1(-self.years * self.annual * probability)
+
+    def given_pulse(self, risk: float) -> float:
+        """The probability in one pulse that gives this risk."""
+        return -math.log1p(-risk) / (self.years * self.annual)
+
+
+class Risk(NamedTuple):
+    """The rate of failure λ, and its probability in some years (`Rate.risk`)."""
+
+    annual_rate: float  # λ [1/year]
+    years: float  # t
+    probability: float  # of at least one failure in these years, 1 − exp(−t λ)
+    least_pgv_m_s: float  # where the hazard's curve begins; weaker pulses are left out
+    at_least_pgv: float  # of the fragility curve at this velocity
+    share_outside_hazard_curve: float  # of λ: from intensities where the end of the hazard's curve is extrapolated
+    share_above_fragility_curve: float  # of λ: from intensities where the last value of the fragility curve holds
+
+
+def risk_of(curve: Curve, rate: Rate) -> Risk:
+    """The risk: λ = ∫ P(v) |dν(v)| over pulses of at least the first velocity, with the rate ν(v) of exceedance.
+
+    Args:
+        curve: P(v), against the intensity of the hazard's curve.
+        rate: of the pulses.
+    """
+    low, high = math.log(rate.velocity), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.velocities[-1]))
+    corners = np.log(np.concatenate([rate.velocities, curve.ladder.levels]))
+    corners = corners[(corners > low) & (corners < high)]
+    logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
+    levels = np.exp(logarithms)
+    nu = rate.exceeding(levels)
+    middle = np.exp(0.5 * (logarithms[1:] + logarithms[:-1]))
+    # Simpson's rule for the probability in each step of the rate.
+    average = (curve.at(levels[:-1]) + 4.0 * curve.at(middle) + curve.at(levels[1:])) / 6.0
+    parts = average * (nu[:-1] - nu[1:])
+    beyond = float(curve.probability[-1] * nu[-1])
+    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.velocity))
+    if total <= 0.0:
+        return Risk(0.0, rate.years, 0.0, rate.velocity, at_least, 0.0, 0.0)
+    inside = float(parts[middle <= rate.velocities[-1]].sum())
+    risk = rate.risk(total / rate.annual)
+    return Risk(total, rate.years, risk, rate.velocity, at_least, 1.0 - inside / total, beyond / total)

@@ -1,0 +1,149 @@
+"""What `activefail doctor` says of an installation: versions, cores, compiled kernels, a short self-test, extras."""
+
+import importlib.metadata
+import os
+import platform
+import re
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from activefail.visible import visible
+
+_LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+
+_EXTRAS = {
+    "video": "MP4 animations",
+    "cluster": "simulations on a Dask cluster",
+    "parquet": "`activefail export --parquet`",
+    "sensitivity": "`activefail sensitivity`",
+    "records": "the records of FEMA P695 for `activefail ida`",
+    "opensees": "the campaigns frame and opensees",
+}
+"""Extras for users, and what each is for."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the diagnosis.
+
+    Attributes:
+        title: what it is about.
+        text: what was found.
+        is_fault: whether activefail does not work because of it.
+    """
+
+    title: str
+    text: str
+    is_fault: bool = False
+
+
+def diagnosis() -> Iterator[Finding]:
+    """The findings, one by one; the self-tests come last and take about a second once the simulator is compiled."""
+    yield Finding("activefail", f"{_version('activefail')}, Python {platform.python_version()}, {platform.platform()}")
+    yield Finding("libraries", ", ".join(f"{name} {_version(name)}" for name in _LIBRARIES))
+    yield _cores()
+    yield from map(_extra, _EXTRAS)
+    yield _kernels()
+    for title, test in (("simulator", _simulator), ("campaign", _campaign)):
+        yield _tested(title, test)
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of activefail, Python and the libraries, by name; None for a missing one."""
+    found = {name: _version(name) for name in ("activefail", *_LIBRARIES)}
+    installed = {name: None if version == "missing" else version for name, version in found.items()}
+    return {"python": platform.python_version(), **installed}
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name) or "unknown"
+    except importlib.metadata.PackageNotFoundError:
+        return "missing"
+
+
+def _cores() -> Finding:
+    from threadpoolctl import threadpool_info
+
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    threads = sorted({f"{pool['internal_api']} uses {pool['num_threads']}" for pool in threadpool_info()})
+    return Finding("cores", f"{usable} usable of {os.cpu_count()}; threads: {', '.join(threads) or 'unknown'}")
+
+
+def _extra(extra: str) -> Finding:
+    """Whether the packages of an extra are installed."""
+    requirements = (line for line in importlib.metadata.requires("activefail") or () if f"extra == '{extra}'" in line)
+    names = [re.split(r"[^\w.-]", line.replace('"', "'"))[0] for line in requirements]
+    missing = [name for name in names if _version(name) == "missing"]
+    if missing:
+        return Finding(extra, f"missing ({_EXTRAS[extra]}): pip install 'activefail[{extra}]'")
+    return Finding(extra, f"installed ({_EXTRAS[extra]})")
+
+
+def _kernels() -> Finding:
+    """Where compiled kernels are kept."""
+    from activefail.seismic.bearing.simulation import integrate
+
+    folder = getattr(integrate._cache, "cache_path", None)
+    if folder is None:
+        return Finding("kernels", "not kept: no private folder can be written, so each process compiles the simulator")
+    kept = any(Path(folder).glob("*.nbi"))
+    return Finding("kernels", f"{'kept' if kept else 'will be compiled now, some 20 s, and kept'} in {visible(folder)}")
+
+
+def _tested(title: str, test: Callable[[], str]) -> Finding:
+    began = time.perf_counter()
+    try:
+        text = test()
+    except Exception as error:
+        return Finding(title, f"fails: {type(error).__name__}: {visible(str(error))}", is_fault=True)
+    return Finding(title, f"{text} ({time.perf_counter() - began:.1f} s)")
+
+
+class SelfTestError(Exception):
+    """A self-test whose result is wrong."""
+
+
+def _simulator() -> str:
+    """Simulate two bearings, of which one survives and one fails."""
+    from activefail.seismic.bearing import simulate
+
+    # T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p in the units of Table 1.
+    weak = [3.0, 0.05, 0.45, 0.5, 0.05, 40.0, 1e9, 3.0, 0.8]
+    strong = [3.0, 0.12, 0.85, 0.5, 0.2, 40.0, 1e9, 0.3, 0.1]
+    outcomes = simulate(np.array([weak, strong])).outcome.tolist()
+    if outcomes != [2, 0]:
+        raise SelfTestError(f"the outcomes of two bearings are {outcomes}, not [2, 0]")
+    return "two bearings have the right outcomes"
+
+
+def _campaign() -> str:
+    """Learn the unit circle from thirty points, in a run folder."""
+    from activefail.run.opening import create_run
+
+    side = {"low": -2.0, "high": 2.0}
+    settings = {
+        "simulator": {"elsewhere": True, "outcomes": ["inside", "outside"]},
+        "space": {"x": side, "y": side},
+        "sampling": {"initial": 20, "budget": 30, "batch": 10},
+    }
+    with (
+        tempfile.TemporaryDirectory(prefix="activefail-") as folder,
+        create_run(Path(folder) / "run", settings, remember=False) as run,
+    ):
+        while len(designs := run.ask(10)):
+            outside = np.hypot(designs["x"], designs["y"]) > 1.0
+            run.tell(designs.assign(outcome=np.where(outside, "outside", "inside")))
+        predicted = run.predict({"x": [0.0, 1.9], "y": [0.0, 1.9]})["p_outside"].to_numpy()
+    if not predicted[0] < 0.5 < predicted[1]:
+        at_centre, far_away = predicted.tolist()
+        raise SelfTestError(
+            f"P(outside a circle) is {at_centre:.3g} at its centre and {far_away:.3g} far outside; the first must be "
+            "below 0.5, the second above"
+        )
+    return "a circle is learned from thirty simulations in a run folder"

@@ -1,0 +1,1 @@
+"""What the classifier sees of a design, the classifier, and which designs to simulate next."""

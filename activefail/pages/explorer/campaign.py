@@ -1,0 +1,321 @@
+"""The page of one design of a campaign: what its classifier predicts, and how it moves."""
+
+import json
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from activefail.analyses.findings import quantities
+from activefail.analyses.findings.quantities import plain, words
+from activefail.analyses.findings.results import Findings, at_the_boundary, interval, predict
+from activefail.errors import InputError
+from activefail.pages.explorer.fields import Field, Values, chosen
+from activefail.pages.explorer.film import film, histories
+from activefail.pages.explorer.pages import Panel, page
+from activefail.pages.figures.axes import outcome_colour
+from activefail.pages.figures.curves import plot_fragility, plot_learning_curves
+from activefail.pages.figures.outcome_planes import marks_in, plot_variable_plane
+from activefail.pages.figures.svg import inline, place_of
+from activefail.seismic.bearing.design import TABLE_1, Model, Tolerance
+from activefail.seismic.bearing.motion import Motion, describe_outcome
+from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.space.shares import percent
+from activefail.space.space import Array, DesignSpace
+from activefail.visible import or_worse, visible
+
+if TYPE_CHECKING:
+    from activefail.analyses.findings.failure import FailureFindings
+    from activefail.learning.model.classifier import Classifier
+    from activefail.pages.report.evidence import Curve
+
+_GRID, _CURVE = 36, 81
+
+_WIDTH = 4.4
+"""Width of figures [in], which are read on a phone too."""
+
+_OPEN = 0.1
+"""Largest distance of a probability from one half at which the page may start."""
+
+UNCERTAINTY = "uncertainty"
+"""What a plane shows in place of an outcome's probability."""
+
+
+class Slow(NamedTuple):
+    """What takes seconds, because it learns.
+
+    Attributes:
+        classifier: the whole one; the findings may have one for predictions alone.
+        failure: what the campaign says of a probability; None if nothing.
+        curve: the learning curve; None without one.
+    """
+
+    classifier: "Callable[[], Classifier]"
+    failure: "Callable[[], FailureFindings | None]"
+    curve: "Callable[[], Curve | None]"
+
+
+class OneDesign:
+    """The page of one design; thread-safe.
+
+    Attributes:
+        findings: of the campaign.
+        campaign, space, outcomes: of the findings.
+        quantities: the variables, as shown to a reader.
+        fields: of the variables, in the middle of the space.
+    """
+
+    def __init__(self, findings: Findings, slow: Slow) -> None:
+        self.findings, self._slow = findings, slow
+        self.campaign, self.space = findings.campaign, findings.campaign.space
+        self.outcomes = findings.campaign.simulator.outcomes
+        self.quantities = quantities.variables(findings.campaign)
+        middle = middle_of(self.space)
+        self.fields = tuple(map(Field.of, self.space.parameters, self.quantities, middle))
+        # Compile and load everything before the first request.
+        values = self._named(middle)
+        self.predict(values)
+        if self.simulates:
+            self._simulated(values)
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the simulator's motion can be shown."""
+        return isinstance(self.campaign.simulator, DfpSimulator)
+
+    @cached_property
+    def learned(self) -> Findings:
+        """The findings with the whole classifier."""
+        return replace(self.findings, classifier=self._slow.classifier())
+
+    @cached_property
+    def title(self) -> str:
+        """The campaign's name."""
+        return visible(self.campaign.settings.description or self.findings.folder.name)
+
+    def page(self, **links: Any) -> str:
+        """The page, with its links to others."""
+        names, presets = self.space.names, self.presets
+        # Choices have no axes.
+        order = np.argsort(-self.findings.influence, kind="stable").tolist()
+        ranking = [names[column] for column in order if not self.space.parameters[column].choices]
+        return page(
+            "campaign",
+            title=self.title,
+            simulations=len(self.findings.X),
+            fields=[field._replace(start=start) for field, start in zip(self.fields, presets[0][1], strict=True)],
+            starts=[(text, json.dumps(self._named(X))) for text, X in presets],
+            axes=[field for field in self.fields if not field.choices],
+            plane=ranking[:2],
+            along="A_p" if "A_p" in names else ranking[0] if ranking else "",
+            outcomes=self.outcomes,
+            beyond=self.findings.beyond,
+            simulates=self.simulates,
+            **links,
+        )
+
+    @property
+    def panels(self) -> Mapping[str, Panel]:
+        """Its panels by name."""
+        shown = (self.predict, self.plane, self.fragility, self.history, self.failure, self.simulate)
+        return {one.__name__: one for one in shown}
+
+    @cached_property
+    def presets(self) -> list[tuple[str, list[float]]]:
+        """Designs to start from: what each is, and its values."""
+        findings = self.findings
+        found = [self._undecided]
+        for row, _ in at_the_boundary(findings):
+            text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {findings.ids[row]}"
+            found.append((text, findings.X[row].tolist()))
+        return [*found, ("the middle of the space", middle_of(self.space))]
+
+    @property
+    def _undecided(self) -> tuple[str, list[float]]:
+        """The design at which the page starts: nearest to the middle, of those whose outcome is most open."""
+        findings = self.findings
+        X = np.concatenate([findings.pool, findings.X[findings.answered]])
+        apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
+        least = float(np.nanmin(apart))
+        X = X[apart <= max(_OPEN, least)]
+        away = np.linalg.norm(self.space.to_unit(X) - 0.5, axis=1)
+        # Few digits: the page shows them.
+        rounded = [float(f"{value:.4g}") for value in X[np.argmin(away)].tolist()]
+        start = self.space.nearest(np.clip([rounded], self.space.low, self.space.high))[0]
+        return "a design at the boundary" if least <= _OPEN else "the least certain design", start.tolist()
+
+    def point(self, values: Values) -> Array:
+        """The design in a form, (d,).
+
+        Raises:
+            InputError: naming the variable, the rule and the value.
+        """
+        read = zip(self.space.parameters, self.fields, strict=True)
+        return np.array([float(one.rounded(field.read(values))) for one, field in read])
+
+    def _named(self, X: list[float]) -> dict[str, float]:
+        return dict(zip(self.space.names, X, strict=True))
+
+    # --- what is predicted -------------------------------------------------------------------------------------------
+
+    def predict(self, values: Values) -> str:
+        """Probabilities of outcomes, and of boundaries with their 95 % intervals, or why there is no such design."""
+        point = self.point(values)
+        named = self.space.quantities(self._named(point.tolist()))
+        broken = [one.text for one in self.space.constraints if not one.holds(named)]
+        if broken:
+            return page("predict", absent=f"No such design exists: it breaks {' and '.join(broken)}.")
+        classifier, X = self.findings.classifier, point[None]
+        exists = float(classifier.existence(X)[0])
+        if exists < 0.5:
+            absent = f"This design does not exist with a probability of {percent(1.0 - exists)}, by the simulations."
+            return page("predict", absent=absent)
+        predicted, boundaries = classifier.predicted(X), []
+        for severity, name in enumerate(self.outcomes[1:], start=1):
+            low, high = (float(end[0]) for end in interval(predicted, severity))
+            boundaries.append((or_worse(name, self.outcomes), float(predicted.beyond(severity)[0]), low, high))
+        colours = [outcome_colour(self.outcomes, index) for index in range(len(self.outcomes))]
+        return page(
+            "predict",
+            absent="",
+            beyond=self.findings.beyond,
+            target=boundaries[self.campaign.severity - 1],
+            outcomes=list(zip(self.outcomes, predicted.probabilities[0].tolist(), colours, strict=True)),
+            boundaries=boundaries,
+        )
+
+    def plane(self, values: Values) -> str:
+        """A figure of the plane of two variables through a design.
+
+        Raises:
+            InputError: if both variables are the same.
+        """
+        shown = chosen(values, "shown", (*self.outcomes[1:], UNCERTAINTY))
+        x, y = (self._axis(values, name) for name in ("across", "up"))
+        if x == y:
+            raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
+        point = self.point(values)
+        along = [np.linspace(self.space.low[column], self.space.high[column], _GRID) for column in (x, y)]
+        grid = np.meshgrid(*along)
+        prediction = self._predicted(point, {x: grid[0].ravel(), y: grid[1].ravel()})
+        uncertain = shown == UNCERTAINTY
+        if uncertain:
+            shades, title = prediction.high - prediction.low, f"uncertainty of P({plain(self.findings.beyond)})"
+        else:
+            shades, title = prediction.probabilities[:, self.outcomes.index(shown)], f"P({plain(words(shown))})"
+        figure = plot_variable_plane(
+            (self.quantities[x], self.quantities[y]),
+            (along[0], along[1]),
+            shades.reshape(grid[0].shape),
+            title,
+            marks_in(self.findings, point, [x, y]),
+            self.outcomes,
+            uncertain,
+        )
+        names = self.space.names[x], self.space.names[y]
+        svg = inline(figure, "plane", f"{title} in the plane of {names[0]} and {names[1]}")
+        return page("plane", svg=svg, place=place_of(figure.axes[0]), names=names)
+
+    def fragility(self, values: Values) -> str:
+        """A figure of the probability of lying beyond the target boundary against a variable."""
+        column, point = self._axis(values, "along"), self.point(values)
+        along = np.linspace(self.space.low[column], self.space.high[column], _CURVE)
+        figure = plot_fragility(
+            along,
+            self._predicted(point, {column: along}),
+            self.quantities[column],
+            plain(self.findings.beyond),
+            float(point[column]),
+            outcome_colour(self.outcomes, self.campaign.severity),
+        )
+        return inline(figure, "fragility", f"P({self.findings.beyond}) against {self.space.names[column]}")
+
+    def _axis(self, values: Values, name: str) -> int:
+        """The column of a variable that a form names."""
+        return self.space.names.index(chosen(values, name, self.space.names))
+
+    def _predicted(self, point: Array, varied: Mapping[int, Array]) -> Any:
+        """Predictions at a design in which some columns have other values."""
+        rows = np.tile(point, (len(next(iter(varied.values()))), 1))
+        for column, along in varied.items():
+            rows[:, column] = self.space.parameters[column].rounded(along)
+        return predict(self.campaign, self.findings.classifier, rows)
+
+    # --- what the campaign learned -----------------------------------------------------------------------------------
+
+    def history(self, _: Values) -> str:
+        """The learning curve as a figure; empty without one."""
+        curve = self._slow.curve()
+        if curve is None:
+            return ""
+        boundary = plain(words(self.findings.boundary))
+        return inline(plot_learning_curves(curve.scores, boundary, curve.test_size, _WIDTH), "curve", "Learning curve")
+
+    def failure(self, _: Values) -> str:
+        """What the campaign says of the probability of failure, and its design point as a start; empty if nothing."""
+        from activefail.pages.report.failure import failure_section
+
+        found = self._slow.failure()
+        section = failure_section(self.learned, found, _WIDTH)
+        if section is None or found is None:
+            return ""
+        point = None if found.point is None else json.dumps(self._named(found.point.X.tolist()))
+        refused = self.campaign.settings.refused
+        return page("failure", failure=section, beyond=self.findings.beyond, refused=refused, start=point)
+
+    # --- how it moves ------------------------------------------------------------------------------------------------
+
+    def simulate(self, values: Values) -> str:
+        """Simulate a bearing: its outcome, its motion as a film and over time, and the command that repeats it.
+
+        Raises:
+            InputError: if the campaign's simulator has no bearing to show.
+        """
+        simulator, response = self._simulated(values)
+        named = self._named(self.point(values).tolist())
+        terms = terms_of(simulator, self.space.quantities(named))
+        try:
+            motion = Motion(response)
+        except InputError:
+            motion = None
+        return page(
+            "simulate",
+            outcome=response.outcome_name,
+            description=describe_outcome(response),
+            terms="" if terms is None else terms.text,
+            command=_command(simulator, named),
+            motion=motion,
+            film=motion and film(motion),
+            histories=motion and histories(motion, _WIDTH),
+        )
+
+    def _simulated(self, values: Values) -> Any:
+        """The simulator and its response to the design in a form."""
+        if not isinstance(self.campaign.simulator, DfpSimulator):
+            raise InputError("This campaign's simulator has no bearing to show.")
+        return self.campaign.simulator, self.campaign.simulator.response(self.point(values))
+
+
+def middle_of(space: DesignSpace) -> list[float]:
+    """The middle of a space, without the digits that are the rounding of a sum: 0.07, not 0.06999999999999999."""
+    return [float(f"{value:.12g}") for value in space.from_unit(np.full(space.dimension, 0.5)).tolist()]
+
+
+def _command(simulator: DfpSimulator, named: Mapping[str, float]) -> str:
+    """The command that simulates this bearing: the design with all digits, and settings that are not the default."""
+    (row,) = simulator.space.table(np.array([[*named.values()]]), TABLE_1.names).tolist()
+    defaults = asdict(Model()) | {"tolerance": Tolerance().relative}
+    settings = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
+    unusual = {name: one for name, one in settings.items() if one != defaults[name]}
+    arguments = ["activefail", "simulate"]
+    for name, value in (dict(zip(TABLE_1.names, row, strict=True)) | unusual).items():
+        option = name.lower().replace("_", "-")
+        if isinstance(value, bool):
+            arguments.append(f"--{'' if value else 'no-'}{option}")
+        else:
+            text = value if isinstance(value, str) else np.format_float_positional(value, trim="-")
+            arguments += [f"--{option}", text]
+    return shlex.join(arguments)

@@ -1,0 +1,345 @@
+"""Predictions of a campaign's classifier in planes: the paper's planes if it has their variables, else of variables."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from activefail.analyses.findings.quantities import Quantity, plain, quantity, variables, words
+from activefail.analyses.findings.results import Findings, Prediction, predict
+from activefail.pages.figures.axes import (
+    axis_limits,
+    colour_bar,
+    filled_contours,
+    legend_outside,
+    nowhere_handles,
+    outcome_handles,
+    own_axes,
+    panel,
+    scatter_outcomes,
+)
+from activefail.pages.figures.style import GREY, fitting_size, letters, styled
+from activefail.seismic.bearing.design import GRAVITY, TABLE_1
+from activefail.seismic.features import PAPER_FEATURES, paper_features
+from activefail.seismic.figures.paper_planes import PLANES, SLICE, Plane
+from activefail.space.space import Array, DesignSpace
+
+GRID, _FINE = 44, 150
+"""Points along each side of a plane of the report, and of a single one."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Coordinates of planes, and predictions at points in them.
+
+    Attributes:
+        quantities: (m,) of the coordinates.
+        F: (n, m) coordinates of the simulated designs.
+        middle: (m,) values of the coordinates that a plane does not vary.
+        predict: maps coordinates, (rows, m), to predictions of designs with them.
+        planes: the planes to draw.
+        widths: half-widths of the slices at the values of a plane's third coordinate.
+        choices: columns of the coordinates without order.
+    """
+
+    quantities: Sequence[Quantity]
+    F: Array
+    middle: Array
+    predict: Callable[[Array], Prediction]
+    planes: Sequence[Plane]
+    widths: Callable[[Plane, float], float]
+    choices: Sequence[int] = ()
+
+
+LOGARITHMIC = (0, 1, 2, 5, 6, 7, 8)
+"""Columns of Table 1 in whose logarithms the log ratios of the paper are linear: T_b, mu, D_tot, p, k, T_p, A_p."""
+
+_RATIOS = (0, 1, 2, 5)
+EXPONENTS = np.array(
+    [
+        [0.0, 0.0, -1.0, 0.0, 0.0, 2.0, 1.0],
+        [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0],
+        [0.0, 0.0, 0.0, -1.0, 1.0, -1.0, -0.5],
+    ]
+)
+"""Exponents of these columns in the ratios D_ratio, T_b/T_p, mu/A_p and k_norm, one row each."""
+
+_PULSE = np.log(GRAVITY / (2.0 * np.pi) ** 2)
+_CONSTANTS = np.array([_PULSE, 0.0, 0.0, -np.log(1e6) - 0.5 * _PULSE])
+
+
+def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Designs with given paper features, (n, 6) -> (n, 9), near the middle of a box, and whether the box has one, (n,).
+
+    Six features leave three of nine variables free. The four ratios are linear in logarithms, so alternating
+    projections between them and the box, from its middle, converge to a common point if there is one.
+
+    Args:
+        F: the features, all positive.
+        low, high: (9,) the box, in Table 1's order and units.
+    """
+    columns = list(LOGARITHMIC)
+    lower, upper = np.log(low[columns]), np.log(high[columns])
+    half = 0.5 * (upper - lower)
+    # In units of the ranges, so that all variables move alike.
+    A = EXPONENTS * half
+    inverse = np.linalg.pinv(A)
+    b = np.log(F[:, list(_RATIOS)]) - _CONSTANTS - EXPONENTS @ (0.5 * (lower + upper))
+    z = np.zeros((len(F), len(columns)))
+    for _ in range(150):
+        z = np.clip(z, -1.0, 1.0)
+        z += (b - z @ A.T) @ inverse.T
+    z = np.clip(z, -1.0, 1.0)
+    residual = np.abs(b - z @ A.T).max(axis=1)
+    X = np.empty((len(F), TABLE_1.dimension))
+    X[:, columns] = np.exp(0.5 * (lower + upper) + half * z)
+    X[:, 3], X[:, 4] = F[:, 3], F[:, 4]
+    inside = np.all((F[:, 3:5] >= low[3:5]) & (F[:, 3:5] <= high[3:5]), axis=1)
+    # Rounding of logarithm and exponential can leave the box.
+    return np.clip(X, low, high), inside & (residual < 0.02)
+
+
+def coordinates(findings: Findings) -> Coordinates:
+    """The paper's planes for a campaign over its nine variables, else planes of the most influential variables."""
+    space = findings.campaign.space
+    if set(TABLE_1.names) <= set(space.names) and np.all(space.low > 0.0) and space.dimension == TABLE_1.dimension:
+        return _paper_coordinates(findings)
+    return _variable_coordinates(findings)
+
+
+def _paper_coordinates(findings: Findings) -> Coordinates:
+    campaign = findings.campaign
+    space = campaign.space
+    columns = [space.names.index(name) for name in TABLE_1.names]
+    F = paper_features(findings.X[:, columns])
+
+    def at(rows: Array) -> Prediction:
+        table, exists = designs_with(rows, space.low[columns], space.high[columns])
+        X = np.empty_like(table)
+        X[:, columns] = table
+        return predict(campaign, findings.classifier, X, exists)
+
+    return Coordinates(
+        [quantity(name) for name in PAPER_FEATURES],
+        F,
+        np.median(F, axis=0),
+        at,
+        PLANES,
+        lambda _, value: SLICE * value,
+    )
+
+
+def _variable_coordinates(findings: Findings) -> Coordinates:
+    campaign = findings.campaign
+    space = campaign.space
+    # By length scale if the features are the variables; other features cannot be varied alone, so then by the
+    # variables' influence on the prediction.
+    scales = findings.classifier.latents[campaign.severity - 1].length_scales
+    if campaign.features.names == space.names and scales is not None:
+        order = np.argsort(scales)
+    else:
+        order = np.argsort(-findings.influence, kind="stable")
+    middle = middle_of(space)
+    # Choices have no axes; the most influential ones take the place of a third variable.
+    is_choice = np.array([bool(one.choices) for one in space.parameters])
+    first = [int(column) for column in order if not is_choice[column]][:3]
+
+    of_choices: list[Plane] = []
+
+    def plane(x: int, y: int, third: int) -> Plane:
+        low, high, one = space.low[third], space.high[third], space.parameters[third]
+        values = tuple(float(one.rounded(low + share * (high - low))) for share in (0.2, 0.5, 0.8))
+        return Plane("plane", x, y, third, values, (0.0, 0.0, 0.0))
+
+    for column in [int(column) for column in order if is_choice[column]][: len(first) // 2]:
+        probable = np.argsort(-np.array(space.parameters[column].probabilities), kind="stable")[:3]
+        values = tuple(np.sort(probable).astype(float).tolist())
+        of_choices.append(Plane("plane", first[0], first[1], column, values, (0.0, 0.0, 0.0)))
+    match first:
+        case [a, b, c]:
+            planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
+        case [a, b] if not of_choices:
+            planes = [Plane("plane", a, b, -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+        case _:
+            planes = []
+
+    def at(rows: Array) -> Prediction:
+        return predict(campaign, findings.classifier, space.nearest(rows))
+
+    width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
+    shown = [*of_choices, *planes]
+    return Coordinates(
+        variables(campaign),
+        findings.X,
+        middle,
+        at,
+        shown,
+        lambda plane, _: float(width[plane.third]),
+        np.flatnonzero(is_choice).tolist(),
+    )
+
+
+def middle_of(space: DesignSpace) -> Array:
+    """The design, (d,), in the middle of all ranges, with the most probable choices."""
+    middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
+    for column, one in enumerate(space.parameters):
+        middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
+    return np.asarray(middle)
+
+
+@styled()
+def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | None) -> Axes:
+    """The probability of the target boundary's outcome or worse in a plane of two variables, and the simulations.
+
+    Args:
+        findings: of the campaign.
+        x, y: columns of the two variables.
+        X: (d,) values of the others.
+        axes: to draw on; new ones of pyplot, which a notebook shows, if None.
+    """
+    axes = own_axes(axes)
+    campaign, space, named = findings.campaign, findings.campaign.space, variables(findings.campaign)
+    across, up = np.meshgrid(*(np.linspace(space.low[column], space.high[column], _FINE) for column in (x, y)))
+    rows = np.tile(X, (across.size, 1))
+    rows[:, x], rows[:, y] = across.ravel(), up.ravel()
+    beyond = predict(campaign, findings.classifier, space.nearest(rows)).beyond
+    shades = filled_contours(axes, across, up, beyond.reshape(across.shape))
+    draw_marks(axes, marks_in(findings, X, [x, y]), campaign.simulator.outcomes, 28.0)
+    colour_bar(cast(Figure, axes.get_figure(root=True)), axes, shades, f"P({plain(findings.beyond)})")
+    axes.set(xlabel=named[x].axis, ylabel=named[y].axis)
+    axes.legend(handles=[*outcome_handles(campaign.simulator.outcomes), *nowhere_handles(beyond)])
+    return axes
+
+
+class Marks(NamedTuple):
+    """Simulated designs in a plane.
+
+    Attributes:
+        places: (k, 2) in the plane.
+        outcome: (k,) int8.
+        opacity: of the marks.
+    """
+
+    places: Array
+    outcome: NDArray[np.int8]
+    opacity: float
+
+
+_PALE = 0.3
+"""Opacity of the marks of designs that differ from those of the plane."""
+
+_NEAR = 0.25
+"""Root mean square difference in the other variables, over their ranges, up to which a plane shows a mark in full."""
+
+
+def marks_in(findings: Findings, design: Array, plane: list[int]) -> list[Marks]:
+    """The simulated designs in a plane through a design, (d,), those like it last.
+
+    The others are pale: they have another choice, or differ much in the other variables.
+    """
+    rows, space = findings.answered, findings.campaign.space
+    X, outcome = findings.X[rows], findings.outcome[rows]
+    is_choice = np.array([bool(one.choices) for one in space.parameters])
+    numbers = np.setdiff1d(np.flatnonzero(~is_choice), plane)
+    apart = (space.to_unit(X) - space.to_unit(design[None]))[:, numbers]
+    near = (apart**2).sum(axis=1) <= _NEAR**2 * len(numbers)
+    near &= np.all(X[:, is_choice] == design[is_choice], axis=1)
+    return [Marks(X[some][:, plane], outcome[some], opacity) for some, opacity in ((~near, _PALE), (near, 1.0))]
+
+
+def draw_marks(axes: Axes, marks: Sequence[Marks], outcomes: Sequence[str], size: float) -> None:
+    """Draw designs in a plane."""
+    for places, outcome, opacity in marks:
+        scatter_outcomes(axes, places[:, 0], places[:, 1], outcome, outcomes, size, opacity)
+
+
+@styled()
+def plot_variable_plane(
+    quantities: tuple[Quantity, Quantity],
+    along: tuple[Array, Array],
+    values: Array,
+    title: str,
+    marks: Sequence[Marks],
+    outcomes: Sequence[str],
+    uncertainty: bool = False,
+) -> Figure:
+    """A probability, or the uncertainty of one, in the plane of two variables, with simulated designs.
+
+    Args:
+        quantities: of the two axes.
+        along: (n,) and (m,) values on the axes.
+        values: (m, n) between 0 and 1; NaN where there is no design.
+        title: of the values.
+        marks: the designs.
+        outcomes: names, for the marks' looks.
+        uncertainty: whether the values are an uncertainty.
+    """
+    x, y = along
+    figure, axes = panel(4.0, 3.4)
+    shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
+    draw_marks(axes, marks, outcomes, 22.0)
+    axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    colour_bar(figure, axes, shades, title, uncertainty)
+    axes.set_title(title if uncertainty else f"{title}; thick line: one half")
+    if nowhere := nowhere_handles(values):
+        legend_outside(figure, handles=nowhere)
+    return figure
+
+
+def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> list[Figure]:
+    """Probabilities of all outcomes but the least severe, and the uncertainty: a figure per third value."""
+    return [_at_value(plane, value, c, findings) for value in (plane.values if plane.third >= 0 else plane.values[:1])]
+
+
+@styled()
+def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) -> Figure:
+    campaign = findings.campaign
+    outcomes = campaign.simulator.outcomes
+    F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
+    share = 0.9 if c.planes is PLANES else 1.0
+    x_limits, y_limits = (axis_limits(F[:, column], share) for column in (plane.x, plane.y))
+    shown = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
+    x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))
+    rows = np.tile(c.middle, (x.size, 1))
+    rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
+    title = ""
+    if plane.third >= 0:
+        rows[:, plane.third] = third
+        width, symbol = c.widths(plane, third), c.quantities[plane.third].symbol
+        shown = shown & (np.abs(F[:, plane.third] - third) <= width)
+        exact = "" if width else plain(str(campaign.space.parameters[plane.third].written(third)))
+        value = f"{third:.3g} ± {width:.2g}" if width else exact
+        between = "\n" if letters(symbol) > 16 else " "
+        title = f"{symbol}{between}= {value}"
+    others = [column for column in c.choices if column != plane.third]
+    alike = np.all(F[:, others] == c.middle[others], axis=1)
+    marks = [
+        Marks(F[some][:, [plane.x, plane.y]], outcome[some], opacity)
+        for some, opacity in ((shown & ~alike, _PALE), (shown & alike, 1.0))
+    ]
+    prediction = c.predict(rows)
+    layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
+    titles = [f"P({plain(words(name))})" for name in outcomes[1:]] + [f"uncertainty of P({plain(findings.beyond)})"]
+    figure = Figure(figsize=(3.9, 2.8 * len(layers) + 0.9), layout="constrained")
+    grid = figure.subplots(len(layers), 1, squeeze=False, sharex=True)[:, 0]
+    size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
+    for axes, layer, name in zip(grid, layers, titles, strict=True):
+        last = axes is grid[-1]
+        shades = filled_contours(axes, x, y, layer.reshape(x.shape), uncertainty=last)
+        draw_marks(axes, marks, outcomes, 28.0)
+        axes.set(xlim=x_limits, ylim=y_limits)
+        axes.set_ylabel(f"{name}\n{c.quantities[plane.y].axis}", fontsize=size)
+        colour_bar(figure, axes, shades, name, uncertainty=last, fraction=0.06)
+    grid[0].set_title(title)
+    grid[-1].set_xlabel(c.quantities[plane.x].axis, fontsize=size)
+    handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
+    handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
+    legend_outside(figure, "outside upper center", [*handles, *nowhere_handles(prediction.beyond)])
+    return figure

@@ -1,1 +1,0 @@
-"""From probabilities to decisions: fragility, design for a target, and what a probability depends on."""

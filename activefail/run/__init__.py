@@ -1,0 +1,1 @@
+"""A run folder with its questions: create, open, ask, tell, add."""

@@ -1,0 +1,1 @@
+"""Pulses at a site: the hazard file, its question, its curve and its risk."""

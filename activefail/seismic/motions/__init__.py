@@ -1,0 +1,1 @@
+"""Ground-motion records: files, sets, intensities, and the variables whose values they are."""

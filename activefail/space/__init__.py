@@ -1,0 +1,1 @@
+"""The variables and their joint distribution: choices, constraints, systems, expressions, weighted rows."""

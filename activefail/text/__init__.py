@@ -1,0 +1,1 @@
+"""Tables, numbers, JSON, durable files, and all text that is shown or read."""

@@ -1,1 +1,0 @@
-"""How good a classifier is, from simulations outside the budget, with confidence bounds."""
