@@ -7,3 +7,12 @@ FEATURES = {
     "sliding": "activefail.seismic.features:of_sliding",
     "collision": "activefail.seismic.features:of_collision",
 }
+
+DERIVED = {"PGV": "activefail.seismic.hazard.velocity:VELOCITY"}
+"""The peak ground velocity of a pulse, in place of its amplitude."""
+
+QUESTIONS = {"hazard": "activefail.seismic.hazard.hazard:Hazard"}
+"""Kinds of question files: the pulses of a site."""
+
+FORMULAS = {"lateral_force_over_weight": "activefail.seismic.bearing.terms:lateral_force"}
+"""Numbers of a design, beside those of its simulator's terms."""

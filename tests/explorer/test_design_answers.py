@@ -24,7 +24,7 @@ from activefail.estimates.integral import boundary_of
 from activefail.pages.explorer.design import DesignPage
 from activefail.pages.explorer.jobs import Job, Jobs, StoppedError
 from activefail.run.opening import open_run
-from activefail.seismic.hazard.hazard import hazard_question, read_hazard
+from activefail.seismic.hazard.hazard import read_hazard
 from activefail.simulators.interface import Results
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
@@ -72,7 +72,7 @@ def test_the_required_value_and_its_curve_are_those_of_the_classifier(design, fi
     shown = Shown(design, REQUEST)
     campaign, grid = findings.campaign, shown.curve.grid
     latent = boundary_of(findings.classifier, campaign.features, "failure")
-    question = hazard_question(read_hazard(hazard), campaign.space, BEARING)
+    question = read_hazard(hazard).question(campaign.space, BEARING)
 
     def probability(at: float) -> float:
         return classifier_probability(latent, question.at({"D_tot": at}))

@@ -22,7 +22,8 @@ from activefail.pages.figures.outcome_planes import marks_in, plot_variable_plan
 from activefail.pages.figures.svg import inline, place_of
 from activefail.seismic.bearing.design import TABLE_1, Model, Tolerance
 from activefail.seismic.bearing.motion import Motion, describe_outcome
-from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.seismic.simulator import DfpSimulator
+from activefail.simulators.interface import terms_of
 from activefail.space.shares import percent
 from activefail.space.space import Array, DesignSpace
 from activefail.visible import or_worse, visible

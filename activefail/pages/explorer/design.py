@@ -17,7 +17,7 @@ from activefail.analyses.design.required_chart import least_value
 from activefail.analyses.design.search import find_design
 from activefail.analyses.findings.quantities import plain
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.estimates.integral import Boundaries, Standardised, boundary_of, existence
 from activefail.estimates.probability_estimator import Estimator
@@ -31,8 +31,9 @@ from activefail.pages.figures.axes import outcome_colour
 from activefail.pages.figures.curves import plot_required_value
 from activefail.pages.figures.svg import inline
 from activefail.record.memory import MemoryStore
-from activefail.seismic.hazard.hazard import CAPACITY, FRICTION, Hazard, hazard_of, hazard_question
-from activefail.seismic.simulator import terms_of
+from activefail.seismic.hazard.hazard import CAPACITY, FRICTION, Hazard
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD
+from activefail.simulators.interface import terms_of
 from activefail.space.parameter import Parameter
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
@@ -266,7 +267,7 @@ class DesignPage:
     def _curve_of(self, site: Numbers, bearing: Numbers) -> _Curve:
         boundary = boundary_of(self._findings.classifier, self.campaign.features, self._findings.boundary)
         hazard = _hazard(dict(site))
-        question = hazard_question(hazard, self.space, dict(bearing))
+        question = hazard.question(self.space, dict(bearing))
         # The capacity stays within its range.
         outside = question.at({CAPACITY: self._capacity.high}).share_outside(self.space)
         return _Curve(boundary, hazard, question, outside, self._capacity)
@@ -361,4 +362,4 @@ def _hazard(site: Mapping[str, float]) -> Hazard:
         values["pulse_period"] = {"median_s": site["median_period"], "definition": "acceleration"} | dispersion
     if _FRICTION_BOUND.name in site:
         values["properties"] = {_FRICTION_BOUND.name: site[_FRICTION_BOUND.name]}
-    return hazard_of(values, Path("site"))
+    return Hazard.of(values, Path("site"))

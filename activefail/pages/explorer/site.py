@@ -4,7 +4,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from activefail.analyses.findings.results import Findings
-from activefail.campaign.question import has_pulse
+from activefail.campaign.hazard import has_hazards
 from activefail.pages.explorer.campaign import OneDesign, Slow
 from activefail.pages.explorer.jobs import Jobs
 from activefail.pages.explorer.pages import Panel
@@ -25,7 +25,7 @@ class CampaignSite:
     def __init__(self, findings: Findings, slow: Slow, jobs: Jobs, home: str = "") -> None:
         self.one, self._jobs, space = OneDesign(findings, slow), jobs, findings.campaign.space
         has_capacity = any(one.name == CAPACITY and not one.choices for one in space.parameters)
-        self.has_design = has_capacity and has_pulse(space)
+        self.has_design = has_capacity and has_hazards(space)
         self._links: dict[str, Any] = {"home": home, "has_design": self.has_design}
 
     @cached_property

@@ -13,6 +13,7 @@ from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.design.required_chart import RequiredChart
 from activefail.analyses.design.stored import StoredDesign
 from activefail.analyses.findings.quantities import Quantity, custom_quantity, plain, quantity, words
+from activefail.analyses.fragility.capacities import Fragility
 from activefail.analyses.fragility.findings import BoundaryFragility, FragilityFindings
 from activefail.analyses.sensitivity.findings import Move
 from activefail.analyses.sensitivity.sobol import Index
@@ -20,7 +21,6 @@ from activefail.analyses.stripes.findings import StripeFindings
 from activefail.pages.figures.axes import legend_outside, outcome_colour, outcome_marker, panel, plain_log
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, ORANGE, VERMILION, styled
 from activefail.seismic.hazard.deaggregation import Deaggregation
-from activefail.seismic.ida.collapse import Fragility
 from activefail.seismic.ida.findings import IdaFindings
 from activefail.space.shares import significant
 
@@ -42,7 +42,7 @@ def plot_fragility_findings(findings: FragilityFindings) -> dict[str, Figure]:
     _draw_curves(axes, findings)
     legend_outside(figure)
     figures, deaggregation = {"fragility": figure}, findings.boundaries[-1].deaggregation
-    if deaggregation is not None and deaggregation.failures is not None:
+    if isinstance(deaggregation, Deaggregation) and deaggregation.failures is not None:
         figures["pulses"], axes = panel(*_SIZE)
         _draw_pulses(figures["pulses"], axes, deaggregation, findings.boundaries[-1].outcome)
     return figures

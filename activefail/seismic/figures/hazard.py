@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.question import AMPLITUDE, PERIOD
 from activefail.pages.figures.axes import plain_log
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, save_png_and_svg, styled
 from activefail.seismic.bearing.pulse import velocity_of
 from activefail.seismic.hazard.hazard import Hazard
 from activefail.seismic.hazard.pulse_table import velocities
 from activefail.seismic.hazard.summary import HazardSummary
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD
 from activefail.space.space import Array, DesignSpace
 
 _CONTOURS = (0.5, 0.9, 0.99)
