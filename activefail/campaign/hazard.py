@@ -26,22 +26,18 @@ class Deaggregation(Protocol):
     @property
     def probability(self) -> float:
         """Of failure under the whole hazard, by the classifier."""
-        ...
 
     @property
     def numbers(self) -> dict[str, Any]:
         """What `--json` shows of it."""
-        ...
 
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Titles and texts; a continued title is empty."""
-        ...
 
     @property
     def table(self) -> list[list[Any]]:
         """Its parts, a row each."""
-        ...
 
 
 class Hazard(Protocol):
@@ -59,7 +55,6 @@ class Hazard(Protocol):
     @classmethod
     def is_of(cls, values: Mapping[str, Any]) -> bool:
         """Whether the values of a file are those of such a hazard, by their keys."""
-        ...
 
     @classmethod
     def of(cls, values: dict[str, Any], path: Path) -> Self:
@@ -68,46 +63,37 @@ class Hazard(Protocol):
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
-        ...
 
     @classmethod
     def applies_to(cls, space: DesignSpace) -> bool:
         """Whether a campaign's variables have such loads."""
-        ...
 
     @property
     def title(self) -> str:
         """In words."""
-        ...
 
     @property
     def is_table(self) -> bool:
         """Whether the loads are rows of a table, beside which all other variables need values."""
-        ...
 
     @property
     def assumptions(self) -> Sequence[str]:
         """What it leaves out and assumes, as sentences."""
-        ...
 
     @property
     def alone(self) -> Self | None:
         """The loads without added uncertainty; None if nothing is added."""
-        ...
 
     @property
     def bounds(self) -> tuple[Bound, ...]:
         """The property bounds that it has; "nominal" is always one."""
-        ...
 
     @property
     def factors(self) -> Mapping[str, float]:
         """Factors on variables of a design at its property bound."""
-        ...
 
     def at_bound(self, bound: Bound) -> Self:
         """The hazard at another property bound."""
-        ...
 
     def question(self, space: DesignSpace, fixed: Mapping[str, float], at: At | None = None) -> Question:
         """The question that it asks of a campaign.
@@ -120,28 +106,22 @@ class Hazard(Protocol):
         Raises:
             InputError: if the hazard says nothing about these variables, or one of them needs a value.
         """
-        ...
 
     def levels(self, intensity: str) -> tuple[str, str, Array]:
         """Name, unit and levels, (n,), of an intensity, by its name in options; in equal steps of the logarithm."""
-        ...
 
     def median(self, name: str) -> float:
         """The median of an intensity."""
-        ...
 
     def assumptions_at(self, name: str) -> list[str]:
         """What the question at each level of an intensity assumes, as sentences."""
-        ...
 
     @property
     def rates(self) -> tuple[Array, Array] | None:
         """Intensities, (m,), increasing, and the annual rates at which they are exceeded, (m,); None if unknown."""
-        ...
 
     def of_rates(self) -> Self:
         """The hazard of the loads that occur as the rates say."""
-        ...
 
     def deaggregated(
         self,
@@ -149,15 +129,14 @@ class Hazard(Protocol):
         space: DesignSpace,
         fixed: Mapping[str, float],
         probability: Array,
-    ) -> Sequence[Deaggregation]:
-        """Which loads contribute the failures beyond each boundary.
+    ) -> Sequence[Deaggregation | None]:
+        """Which loads contribute the failures beyond each boundary; None where it is not known.
 
         Args:
             boundaries: of the campaign's designs, (n, d) -> (n, b).
             space, fixed: as for `question`.
             probability: (b,) under the whole hazard.
         """
-        ...
 
 
 def is_hazard(given: object) -> bool:

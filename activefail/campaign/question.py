@@ -427,7 +427,7 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
 
 
 def _restated(own: Parameter, entry: Variable | Choices, distance: float, in_steps: bool) -> Parameter:
-    """A variable of a campaign with the distribution of a question: in the campaign's steps, or of its choices.
+    """A variable of a campaign with the distribution of a question: of its choices, or in its steps if `in_steps`.
 
     Bounds that the question leaves out are the next values outwards.
     """

@@ -16,3 +16,6 @@ QUESTIONS = {"hazard": "activefail.seismic.hazard.hazard:Hazard"}
 
 FORMULAS = {"lateral_force_over_weight": "activefail.seismic.bearing.terms:lateral_force"}
 """Numbers of a design, beside those of its simulator's terms."""
+
+EXPLORER_PAGES = {"design": "activefail.seismic.explorer:design_page"}
+"""Pages of the explorer, by path: functions of a design space that give a title and what makes the page, or None."""

@@ -64,8 +64,12 @@ class Deaggregation:
     failures: Share | None
 
     header: ClassVar[tuple[str, ...]] = (
-        *("T_p_from", "T_p_to", "PGV_from", "PGV_to"),
-        *("share_of_failures", "share_of_pulses"),
+        "T_p_from",
+        "T_p_to",
+        "PGV_from",
+        "PGV_to",
+        "share_of_failures",
+        "share_of_pulses",
     )
 
     @property

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ from activefail.execution.local import local_executor
 from activefail.pages.explorer.campaign import OneDesign
 from activefail.pages.explorer.fields import Field, Values, chosen
 from activefail.pages.explorer.jobs import Job, Jobs
-from activefail.pages.explorer.pages import Panel, page
+from activefail.pages.explorer.pages import Panel
+from activefail.pages.explorer.pages import page as page_of
 from activefail.pages.figures.axes import outcome_colour
 from activefail.pages.figures.curves import plot_required_value
 from activefail.pages.figures.svg import inline
@@ -192,7 +193,7 @@ class DesignPage:
     def page(self, **links: Any) -> str:
         """The page, with its links to others."""
         targets = [(f"{100.0 * p:g} % (risk category {name})", 100.0 * p) for name, p in RISK_CATEGORIES.items()]
-        return page(
+        return _page(
             "design",
             title=self._one.title,
             simulations=len(self._findings.X),
@@ -246,7 +247,7 @@ class DesignPage:
             plain(beyond),
             outcome_colour(self._one.outcomes, self.campaign.severity),
         )
-        return page(
+        return _page(
             "required",
             required=value if is_met else None,
             probability=probability,
@@ -301,7 +302,7 @@ class DesignPage:
             case "stop" if job is not None:
                 job.must_stop = True
         job = self._jobs.last
-        return page(
+        return _page(
             "verify",
             steps=2 * LOOKS,
             job=job if job is not None and job.asked[0] == folder else None,
@@ -343,6 +344,9 @@ class DesignPage:
             ),
             "assumptions": of_design.assumptions,
         }
+
+
+_page = partial(page_of, package=__package__)
 
 
 def _read(fields: Sequence[Field], values: Values) -> Numbers:
