@@ -539,6 +539,21 @@ def test_a_cost_with_a_minimum_inside_the_feasible_range_is_found() -> None:
     assert cheapest(task, model, np.array([0.1])).values["x"] == pytest.approx(4.6, abs=1e-3)
 
 
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_a_cost_with_its_minimum_between_two_values_of_the_grid_proposes_no_design_that_misses_the_aim(
+    step: float | None,
+) -> None:
+    def model(values: dict[str, float], points: int) -> Array:
+        return np.array([0.5 if abs(values["x"] - 4.6) < 0.2 else 0.01])  # the grid has 4.17 and 5
+
+    stepped = {} if step is None else {"x": Parameter("x", 0.0, 10.0, step=step)}
+    task = replace(task_on(0.0, 10.0, 0.1), cost=lambda values: (values["x"] - 4.6) ** 2, stepped=stepped)
+    found = cheapest(task, model, np.array([0.1]))
+    assert found.is_feasible
+    assert found.model == 0.01
+    assert abs(found.values["x"] - 4.6) < 0.5
+
+
 def test_of_several_ranges_that_meet_the_aim_the_smallest_design_is_taken_and_all_are_named() -> None:
     def model(values: dict[str, float], points: int) -> Array:
         x = values["x"]

@@ -571,5 +571,8 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
             values += steps[(steps >= ends[0]) & (steps <= ends[1])].tolist()
         elif ends[0] < ends[1]:
             values.append(float(minimize_scalar(cost, bounds=ends, method="bounded").x))
-    x = min(values, key=cost)
-    return Candidate({name: x, **held}, probabilities(x), is_feasible=True, ranges=tuple(ranges))
+    for x in sorted(values, key=cost):
+        # Between two values of the grid that meet the aims, others may miss them.
+        if _excess(P := probabilities(x), aims) <= 0.0:
+            break
+    return Candidate({name: x, **held}, P, is_feasible=True, ranges=tuple(ranges))
