@@ -442,6 +442,26 @@ def test_a_target_is_out_of_reach_if_all_ends_of_the_range_exceed_it() -> None:
 
 
 @dataclass
+class Blind(MadeEstimator):
+    """Its classifier does not see that values between two are safe: 40 % fail at the smallest, more elsewhere."""
+
+    def standardised(self, outcome: str) -> Callable[[Array], Array]:
+        return lambda X: (np.log(X[:, 3]) + 0.1 * X[:, 0] + 0.05) / 0.4
+
+    def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+        plan = self.plan(outcome, simulations, question)
+        X = question.designs(plan.designs)
+        return Sampled(plan, np.log(X[:, 3]) > 0.8 - np.abs(X[:, 0] - 3.0), np.ones(len(X), dtype=bool))
+
+
+def test_no_target_is_out_of_reach_because_both_ends_of_the_range_exceed_it_if_the_classifier_is_wrong_there() -> None:
+    found = find_design(Blind(1.0, 0.1, 0), task_of(question_of(), 0.1, 1000))  # type: ignore[arg-type]
+    assert {0.5, 6.0} <= {look.candidate.values["capacity"] for look in found.looks}
+    assert all(look.above(np.array([0.1])).all() for look in found.looks)
+    assert found.status == "not verified"
+
+
+@dataclass
 class Dip(MadeEstimator):
     """Its classifier is right: failure is less probable around one value, between two of the grid of a line."""
 
