@@ -7,3 +7,9 @@ FEATURES = {
     "sliding": "activefail.seismic.features:of_sliding",
     "collision": "activefail.seismic.features:of_collision",
 }
+
+PLANES = {"paper": "activefail.seismic.figures.feature_planes:coordinates"}
+
+VIEWS = {"dfp": "activefail.seismic.views.bearing:BearingView"}
+
+FIGURES = {"pulses": "activefail.seismic.figures.hazard:plot_pulses"}
