@@ -28,6 +28,10 @@ class Deaggregation(Protocol):
         """Of failure under the whole hazard, by the classifier."""
 
     @property
+    def figure(self) -> str | None:
+        """Name of the plug-in's figure of it; None if it has none to show."""
+
+    @property
     def numbers(self) -> dict[str, Any]:
         """What `--json` shows of it."""
 

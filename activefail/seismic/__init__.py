@@ -19,3 +19,9 @@ FORMULAS = {"lateral_force_over_weight": "activefail.seismic.bearing.terms:later
 
 EXPLORER_PAGES = {"design": "activefail.seismic.explorer:design_page"}
 """Pages of the explorer, by path: functions of a design space that give a title and what makes the page, or None."""
+
+PLANES = {"paper": "activefail.seismic.figures.feature_planes:coordinates"}
+
+VIEWS = {"dfp": "activefail.seismic.views.bearing:BearingView"}
+
+FIGURES = {"pulses": "activefail.seismic.figures.hazard:plot_pulses"}

@@ -114,8 +114,10 @@ class Simulator(Protocol):
     runs are failures (`settled`), and which are designs that do not exist. `space` (DesignSpace) has the names of a
     design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
     one of the designs can have no result at all, such as one with a negative friction. `noun` is what a design
-    describes, such as "bearing", and `limits` are sentences on what the model leaves out. `terms(quantities)` gives a
-    design in the designer's terms (`Terms`), from its quantities by name (`DesignSpace.quantities`); None if some lack.
+    describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name (`Quantity`),
+    `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view (`pages/view.py`).
+    `terms(quantities)` gives a design in the designer's terms (`Terms`), from its quantities by name
+    (`DesignSpace.quantities`); None if some lack.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -187,6 +189,11 @@ def terms_of(simulator: object, quantities: Mapping[str, float]) -> Terms | None
 def limits_of(simulator: object) -> tuple[str, ...]:
     """What the model of a simulator leaves out, as sentences."""
     return getattr(simulator, "limits", ())
+
+
+def noun_of(simulator: object) -> str:
+    """What a design of a simulator describes."""
+    return getattr(simulator, "noun", "design")
 
 
 def design_in_words(simulator: Simulator, x: Array) -> str:

@@ -15,6 +15,7 @@ from activefail.analyses.fragility.curve import Rate
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.errors import InputError
+from activefail.simulators.interface import noun_of
 from activefail.space.expressions import check_no_texts, parse_expression
 from activefail.space.parameter import Parameter
 from activefail.space.space import Array, Constraint, DesignSpace
@@ -294,10 +295,9 @@ def design_task(
         if ranges[name].groups is not None:
             raise InputError(f"free: {name} has the records of a set, which the designer cannot choose.")
         if (derived := question.derived) is not None and name in derived.units:
-            of = getattr(asked.campaign.simulator, "noun", "design")
             raise InputError(
                 f"free: {name} belongs to the {derived.of}, which the designer cannot choose. Name variables of the "
-                f"{of}."
+                f"{noun_of(asked.campaign.simulator)}."
             )
     if set(question.space.names) <= set(names):
         why = "so nothing is uncertain and no outcome has a probability"

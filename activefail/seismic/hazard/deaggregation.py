@@ -73,6 +73,11 @@ class Deaggregation:
     )
 
     @property
+    def figure(self) -> str | None:
+        """The name of its figure; None if failure is too rare."""
+        return None if self.failures is None else "pulses"
+
+    @property
     def numbers(self) -> dict[str, Any]:
         """What `--json` shows of it."""
         failures, pulses = self.failures, self.pulses
