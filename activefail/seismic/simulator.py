@@ -45,6 +45,7 @@ class DfpSimulator:
     margins = o.COLUMNS
     releases_gil = True
     noun = "bearing"
+    title = "the double friction pendulum bearing"
 
     @property
     def causes(self) -> tuple[str, ...]:
