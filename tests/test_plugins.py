@@ -49,6 +49,56 @@ def test_without_the_plug_in_a_campaign_is_run_and_estimated(core: Path) -> None
     assert "done       10 of 10 simulations" in said(core, "status", "run")
 
 
+@pytest.mark.parametrize(
+    ("text", "rules"),
+    [
+        ("", ["simulator: required, but missing", "space: required, but missing"]),
+        ("simulator = 'dfp'", ["simulator: must be a table with `python`", "space: required, but missing"]),
+    ],
+)
+def test_without_the_plug_in_a_campaign_file_must_say_what_is_simulated(
+    text: str, rules: list[str], core: Path
+) -> None:
+    program = f"from activefail.campaign.settings import parse_settings; parse_settings({text!r}, 'mine.toml')"
+    done = subprocess.run([sys.executable, "-c", program], cwd=core, capture_output=True, text=True, check=False)
+    *_, first, second = done.stderr.strip().splitlines()
+    assert [line.strip().startswith(rule) for line, rule in zip((first, second), rules, strict=True)] == [True, True]
+
+
+ALIAS = """
+import pickle
+import sys
+
+import activefail
+
+assert not any(name.startswith("activefail.seismic") for name in sys.modules)
+from activefail.bearing.design import GRAVITY, Model
+
+assert "numba" not in sys.modules
+import activefail.bearing.design as former
+import activefail.seismic.bearing.design as design
+from activefail.bearing import Bearing, outcome
+from activefail.seismic.bearing import outcome as same
+
+assert former is design and design.__spec__.name == "activefail.seismic.bearing.design" and outcome is same
+assert Model is design.Model is activefail.Model and Bearing is design.Bearing
+assert pickle.loads(pickle.dumps(Model())) == Model()
+assert pickle.loads(b"cactivefail.bearing.design\\nModel\\n.") is Model
+for missing in ("activefail.bearing.nothing", "activefail.nothing"):
+    try:
+        __import__(missing)
+    except ModuleNotFoundError as error:
+        assert error.name == missing
+    else:
+        raise AssertionError(missing)
+"""
+
+
+def test_a_package_of_a_plug_in_is_the_same_under_its_short_name() -> None:
+    done = subprocess.run([sys.executable, "-c", ALIAS], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_path: Path) -> None:
     metadata = tmp_path / "levee-1.0.dist-info"
     metadata.mkdir()
