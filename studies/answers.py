@@ -40,15 +40,15 @@ from study import Rows, asked, in_memory
 from activefail import create_run, open_run, simulate
 from activefail.analyses.design.design_task import DesignTask, Requirement
 from activefail.analyses.design.search import find_design
-from activefail.analyses.fragility.curve import Curve, Rate, risk_of
-from activefail.analyses.fragility.levels import curves_on, intensity_ladder
+from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of
+from activefail.analyses.fragility.levels import curves_on
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.estimates.integral import BoundariesOf
 from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model.threads import one_thread
-from activefail.seismic.hazard.hazard import hazard_of, hazard_question
+from activefail.seismic.hazard.hazard import Hazard
 from activefail.simulators.interface import NUMERICAL_FAILURE
 
 MAGNITUDES = (6.0, 6.4, 6.8, 7.0, 7.4, 8.0)
@@ -71,13 +71,13 @@ def fragility(folder, number):
         boundaries = BoundariesOf(opened.classifier, opened.campaign.features)
         for M in MAGNITUDES:
             pgv = {"median_m_s": 1.0, "dispersion": 0.25}
-            hazard = hazard_of({"magnitude": {"M": M}, "pgv": pgv, "curve": RATES}, Path("hazard.toml"))
+            hazard = Hazard.of({"magnitude": {"M": M}, "pgv": pgv, "curve": RATES}, Path("hazard.toml"))
 
             def at(level, hazard=hazard):
-                return hazard_question(hazard, space, bearing, level)
+                return hazard.question(space, bearing, ("PGV", level))
 
             with one_thread():
-                curves = curves_on(boundaries, at, intensity_ladder("pgv", hazard), space)[0]
+                curves = curves_on(boundaries, at, Ladder(*hazard.levels("pgv"), is_log=True), space)[0]
             ladder = curves[0].ladder
             designs = [at(v).designs(at(v).space.sobol(PULSES, np.random.default_rng(1))) for v in ladder.levels]
             outcome = simulate(np.concatenate(designs)).outcome.reshape(len(designs), PULSES)

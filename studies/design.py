@@ -63,7 +63,7 @@ from activefail.estimates.probability_estimator import Estimator
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model.threads import one_thread
 from activefail.seismic.bearing.pulse import amplitude_of
-from activefail.seismic.hazard.hazard import hazard_of, hazard_question
+from activefail.seismic.hazard.hazard import Hazard
 from activefail.simulators.interface import Results
 from activefail.space.weighted import WeightedRows
 
@@ -88,12 +88,12 @@ class Study:
         self.run = open_run(folder, write=True) if folder.exists() else create_run(folder, "campaigns/bearing.toml")
         if self.run.history.asked_for < self.run.settings.sampling.budget:
             self.run.take()
-        self.hazard = hazard_of(HAZARD, Path("hazard.toml"))
+        self.hazard = Hazard.of(HAZARD, Path("hazard.toml"))
         self.standardised = boundary_of(self.run.classifier, self.run.campaign.features, "failure")
         self.rng = np.random.default_rng(seed)
 
     def question(self, bearing):
-        return hazard_question(self.hazard, self.run.space, bearing)
+        return self.hazard.question(self.run.space, bearing)
 
     def drawn(self):
         """A bearing of Table 1 without D_tot."""
@@ -123,8 +123,8 @@ class Study:
         while count:
             bearing = self.drawn()
             pgv = {"median_m_s": 0.6 * 2.4 ** self.rng.random(), "dispersion": 0.25}
-            hazard = hazard_of({"magnitude": {"M": 6.4 + 1.2 * self.rng.random()}, "pgv": pgv}, Path("hazard.toml"))
-            question = hazard_question(hazard, self.run.space, {**bearing, FREE: RANGE[0]})
+            hazard = Hazard.of({"magnitude": {"M": 6.4 + 1.2 * self.rng.random()}, "pgv": pgv}, Path("hazard.toml"))
+            question = hazard.question(self.run.space, {**bearing, FREE: RANGE[0]})
             X = self.draw(question, 500, self.rng)
             smallest, largest = (self.failed(question.at({FREE: value}), X).mean() for value in RANGE)
             if largest <= 0.8 * target and smallest >= 1.2 * target:

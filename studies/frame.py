@@ -32,9 +32,9 @@ from opensees import rigid_limit
 from study import Rows, asked, head, line
 
 import activefail
+from activefail.analyses.fragility.capacities import fit_lognormal
 from activefail.seismic.bearing import Bearing, Model, Tolerance, simulate_one
 from activefail.seismic.bearing.design import GRAVITY
-from activefail.seismic.ida.collapse import fit_lognormal
 from activefail.seismic.motions.accelerogram_sets import read_record_set
 
 ROOT = Path(__file__).parents[1]

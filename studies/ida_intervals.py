@@ -10,8 +10,8 @@ true median and dispersion, and the number of intervals.
 import numpy as np
 from study import asked, head, line
 
+from activefail.analyses.fragility.capacities import fit_lognormal, fitted
 from activefail.seismic.ida.capacity import BISECTIONS, ladder
-from activefail.seismic.ida.collapse import fit_lognormal, fitted
 from activefail.seismic.motions.intensity import Intensity
 
 MEDIAN, DISPERSION = 1.5, 0.4

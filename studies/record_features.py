@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from study import asked, head, line, timed
 
+from activefail.analyses.fragility.capacities import jackknife
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import read_settings
 from activefail.learning.features import CustomFeatures, feature_map
@@ -23,7 +24,6 @@ from activefail.learning.model.latent import VariationalGP
 from activefail.learning.model.training import train
 from activefail.seismic.bearing import TABLE_1, simulate_records
 from activefail.seismic.bearing import outcome as o
-from activefail.seismic.ida.collapse import jackknife
 from activefail.seismic.ida.equivalent_pulse import equivalent_pulse
 from activefail.seismic.motions.intensity import spectral_acceleration
 

@@ -29,7 +29,7 @@ from study import Rows, asked, head, line, spread, timed, uniform
 
 from activefail import ida
 from activefail.seismic.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.seismic.hazard.hazard import hazard_of, hazard_question
+from activefail.seismic.hazard.hazard import Hazard
 
 G = 9.81
 SCALE = np.array([0.1, 0.1, 0.2, 0.025, 0.025, 1.0, 1.0, 2.0, 0.25, 0.25, 0.01, 0.01, 0.01, 0.01])
@@ -223,7 +223,7 @@ def compare_types(count, seed):
     found = {name: [] for name in RIMS}
     for bearing in X:
         fixed = dict(zip(TABLE_1.names, bearing.tolist(), strict=False))
-        question = hazard_question(hazard_of(HAZARD, Path("hazard.toml")), TABLE_1, fixed)
+        question = Hazard.of(HAZARD, Path("hazard.toml")).question(TABLE_1, fixed)
         designs = question.designs(question.space.sobol(1024, np.random.default_rng(seed)))
         for name, model in RIMS.items():
             capacity = ida(bearing, "farfield", scale_to="pgv", model=model, workers=1).fragility.fit.median

@@ -48,6 +48,7 @@ from study import asked, head, in_memory, line, percent, spread
 from activefail.analyses.design.by_stripes import STEPS, design_by_stripes
 from activefail.analyses.design.design_task import Requirement, design_task
 from activefail.analyses.fragility.by_stripes import fragility_by_stripes
+from activefail.analyses.fragility.capacities import fit_lognormal
 from activefail.analyses.fragility.levels import ladder_of
 from activefail.analyses.stripes.intervals import Checked, of_others
 from activefail.analyses.stripes.stripe import Stripe, Stripes
@@ -62,7 +63,6 @@ from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.seismic.ida.by_campaign import capacities_by_campaign
 from activefail.seismic.ida.capacity import BISECTIONS, LEVELS, capacities
-from activefail.seismic.ida.collapse import fit_lognormal
 from activefail.seismic.ida.simulations import CampaignSubject, Ground
 from activefail.seismic.motions.accelerogram_sets import read_record_set
 from activefail.simulators.interface import Results

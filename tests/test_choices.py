@@ -26,7 +26,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.learning.features import feature_map
 from activefail.pages.figures.outcome_planes import coordinates, marks_in, plot_outcome_planes
-from activefail.seismic.hazard.hazard import hazard_of, hazard_question
+from activefail.seismic.hazard.hazard import Hazard
 from activefail.simulators.returned import designs_by_name
 from activefail.space.parameter import Parameter
 from activefail.space.space import DesignSpace
@@ -284,7 +284,7 @@ def test_a_hazard_gives_choices_no_other_values(name: str, rule: str) -> None:
     of_choices = Parameter.of_choices(name, (1, 2))
     space = DesignSpace((*(one for one in PULSE.parameters if one.name != name), of_choices))
     with pytest.raises(InputError) as refused:
-        hazard_question(hazard_of(HAZARD, Path("h.toml")), space, {})
+        Hazard.of(HAZARD, Path("h.toml")).question(space, {})
     assert str(refused.value) == rule
 
 
@@ -292,7 +292,7 @@ def test_moves_under_a_hazard_hold_the_most_probable_choice() -> None:
     space = "[space]\nT_p = { low = 1, high = 6 }\nA_p = { low = 0.1, high = 1 }\nx = { low = 0, high = 1 }\n"
     soil = 'soil = { choices = ["B", "A", "C"], probabilities = [0.4, 0.3, 0.3] }'
     campaign = Campaign.of(parse_settings(f"simulator = {{ elsewhere = true }}\n{space}{soil}", "f"))
-    hazard = hazard_of({key: HAZARD[key] for key in ("pulse_period", "pgv")}, Path("h.toml"))
+    hazard = Hazard.of({key: HAZARD[key] for key in ("pulse_period", "pgv")}, Path("h.toml"))
 
     def on_soil(X: np.ndarray) -> np.ndarray:
         return norm.ppf(np.array([0.4, 0.1, 0.2])[X[:, 3].astype(int)] + 0.1 * X[:, 2])[:, None]

@@ -4,22 +4,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from typing import cast
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.question import (
-    AMPLITUDE,
-    PERIOD,
-    Question,
-    check_constraints,
-    question_in,
-    question_of,
-    values_of,
-)
+from activefail.campaign.hazard import At, Hazard, hazard_in, is_hazard, read_hazard
+from activefail.campaign.question import Question, check_constraints, question_in, question_of, values_of
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import checked, read_toml
 from activefail.errors import InputError, naming
 from activefail.learning.criteria.population import integration_points
-from activefail.seismic.hazard.hazard import Hazard, hazard_of, hazard_question, is_of_hazard, read_hazard
 from activefail.simulators.interface import Simulator
 from activefail.space.space import DesignSpace
 from activefail.space.weighted import WeightedRows
@@ -65,22 +58,26 @@ class Inquiry:
         space, given = campaign.space, question if hazard is None else hazard
         values = values_of(fixed, space)
         file = str(given) if isinstance(given, str | PathLike) else ""
-        if hazard is not None:
-            given = hazard if isinstance(hazard, Hazard) else read_hazard(path_of("hazard", hazard))
-        elif given is None:
+        asking: Question | Hazard
+        if is_hazard(given):
+            asking = cast(Hazard, given)
+        elif hazard is not None:
+            asking = read_hazard(path_of("hazard", hazard))
+        elif question is None:
             # Without values a campaign's own design measure stays what it is, with its stored simulations.
-            given = question_of(campaign.settings.question, space, values) if values else campaign.question
-        elif not isinstance(given, Question | Hazard):
-            given = read_question(path_of("question", given), space, values)
-        elif isinstance(given, Question) and values:
-            given = given.at(values)
-        if isinstance(given, Hazard):
-            with naming(f"{file}: " if file else ""):
-                asked = cls.of_hazard(campaign, given, values, free)
+            asking = question_of(campaign.settings.question, space, values) if values else campaign.question
+        elif isinstance(question, Question):
+            asking = question.at(values) if values else question
         else:
-            asked = cls(campaign, given)
+            asking = read_question(path_of("question", question), space, values)
+        if isinstance(asking, Question):
+            asked = cls(campaign, asking)
+        else:
+            with naming(f"{file}: " if file else ""):
+                asked = cls.of_hazard(campaign, asking, values, free)
         # Variables that get their values later have some meanwhile.
-        known = {*asked.question.space.names, *asked.question.fixed}
+        known, derived = {*asked.question.space.names, *asked.question.fixed}, asked.question.derived
+        known |= set() if derived is None else {derived.replaces}
         waiting = _middles(space, [name for name in free if name not in known])
         checked = asked.question.at(waiting) if waiting else asked.question
         check_designs_of(
@@ -98,15 +95,15 @@ class Inquiry:
             campaign: the campaign.
             hazard: the hazard.
             fixed: values of variables.
-            free: variables that get their values later. Under rows of pulses they have none in the question.
+            free: variables that get their values later. Under a table of loads they have none in the question.
 
         Raises:
-            InputError: as `hazard_question` does.
+            InputError: as `Hazard.question` does.
         """
-        # The pulses of a file have no distribution of other variables beside them.
-        waiting = [name for name in free if name not in fixed] if hazard.rows is not None else []
+        # The loads of a table have no distribution of other variables beside them.
+        waiting = [name for name in free if name not in {*fixed, *hazard.variables}] if hazard.is_table else []
         meanwhile = _middles(campaign.space, waiting)
-        question = hazard_question(hazard, campaign.space, {**meanwhile, **fixed})
+        question = hazard.question(campaign.space, {**meanwhile, **fixed})
         known = {name: value for name, value in question.fixed.items() if name not in meanwhile}
         check_constraints(campaign.space, known, question.space.names, isinstance(question.space, WeightedRows))
         return cls(campaign, replace(question, fixed=known), hazard)
@@ -120,25 +117,21 @@ class Inquiry:
         """The inquiry with these values of variables."""
         return replace(self, question=self.question.at(values))
 
-    def under(self, hazard: Hazard, pgv: float | None = None) -> Question:
-        """The question of a variant of the hazard, with the same values (see `hazard_question`)."""
-        return hazard_question(hazard, self.campaign.space, self.fixed, pgv)
+    def under(self, hazard: Hazard, at: At | None = None) -> Question:
+        """The question of a variant of the hazard, with the same values (see `Hazard.question`)."""
+        return hazard.question(self.campaign.space, self.fixed, at)
 
 
 def _middles(space: DesignSpace, names: Collection[str]) -> dict[str, float]:
-    """The middles of the ranges of variables, without those of a pulse and without names that are unknown."""
-    return {
-        one.name: float(one.rounded(0.5 * (one.low + one.high)))
-        for one in space.parameters
-        if one.name in names and one.name not in (PERIOD, AMPLITUDE)
-    }
+    """The middles of the ranges of variables, without names that are unknown."""
+    return {one.name: float(one.rounded(0.5 * (one.low + one.high))) for one in space.parameters if one.name in names}
 
 
 def read_question(path: Path, space: DesignSpace, fixed: Mapping[str, float]) -> Question | Hazard:
     """The question of a question file, with values of variables; or the hazard of a hazard file."""
     values = read_toml(path)
-    if is_of_hazard(values):
-        return hazard_of(values, path)
+    if (hazard := hazard_in(values, path)) is not None:
+        return hazard
     section = checked(QuestionSettings, values, str(path))
     with naming(f"{path}: "):
         return question_in(section, path.stem, space, fixed)

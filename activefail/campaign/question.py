@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from activefail.campaign.derived import Derived, derived_in
 from activefail.campaign.section import shown
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import read_toml
 from activefail.campaign.variables import Choices, FixedVariable, SetVariable, Variable
 from activefail.errors import InputError, naming
-from activefail.seismic.hazard.sections import LARGEST_MEDIAN, LARGEST_VELOCITY
+from activefail.plugins import brought
 from activefail.space.parameter import Parameter
 from activefail.space.shares import feasible_share, percent, records_in_words
 from activefail.space.space import LEAST_FEASIBLE, Array, DesignSpace, radius
@@ -30,21 +31,6 @@ _SHARE = 2**14
 _WIDEN_ABOVE, _HELD = 0.1, 0.99
 """Share outside above which a campaign should be widened, and the share that the ranges named then hold."""
 
-PGV = "PGV"
-"""Peak ground velocity of the pulse [m/s], which may take the place of its amplitude A_p [g]."""
-
-_VELOCITY = Parameter(PGV, 0.001, LARGEST_VELOCITY, "m/s")
-"""What a question may state of it as if it were a variable of the campaign."""
-
-PERIOD, AMPLITUDE = "T_p", "A_p"
-"""The variables of a pulse: period [s] and amplitude [g]."""
-
-
-def _replaces_amplitude(known: Iterable[str], variables: Collection[str]) -> bool:
-    """Whether the amplitude follows from the peak ground velocity, which is no variable of the campaign itself."""
-    return PGV in known and PGV not in variables
-
-
 _OF_CAMPAIGN = "the campaign's distributions"
 
 
@@ -55,7 +41,7 @@ class Question:
     Attributes:
         title: in words.
         variables: names of the campaign's variables.
-        space: the uncertain variables: the campaign's own, or the peak ground velocity in place of the amplitude.
+        space: the uncertain variables: the campaign's own, or a quantity in place of one (see `derived`).
         fixed: values of all other variables.
         factors: factors on variables, applied last, such as a bound on friction.
         draw: number of an independent sample of fresh simulations.
@@ -93,6 +79,11 @@ class Question:
         return (*self.stated, *notes)
 
     @property
+    def derived(self) -> Derived | None:
+        """The quantity that takes the place of a variable; None if there is none."""
+        return derived_in((*self.space.names, *self.fixed), self.variables)
+
+    @property
     def is_of_campaign(self) -> bool:
         """Whether the uncertain variables have the campaign's own distributions."""
         return self.is_own or self.title == _OF_CAMPAIGN
@@ -113,7 +104,8 @@ class Question:
         else:
             defined = (self.space.parameters, sorted(self.space.correlation))
         values = [float(self.fixed.get(name, 0.0)) for name in self.variables]
-        further_parts = [PGV, self.fixed[PGV]] if PGV in self.fixed else []
+        quantities = brought("derived") if self.fixed else {}
+        further_parts = [part for name in quantities if name in self.fixed for part in (name, self.fixed[name])]
         # Parts that older questions did not have are left out where they say nothing, so that digests stay.
         further_parts += [sorted(self.factors.items())] if self.factors else []
         further_parts += [self.draw] if self.draw else []
@@ -127,20 +119,19 @@ class Question:
             return X
         columns = {name: np.full(len(X), value) for name, value in self.fixed.items()}
         columns |= dict(zip(self.space.names, X.T, strict=True))
-        if _replaces_amplitude(columns, self.variables):
-            from activefail.seismic.bearing.pulse import amplitude_of
-
-            columns[AMPLITUDE] = amplitude_of(columns[PGV], columns[PERIOD])
+        if (derived := self.derived) is not None:
+            columns[derived.replaces] = derived.value(columns)
         return np.column_stack([columns[name] * self.factors.get(name, 1.0) for name in self.variables])
 
     def at(self, values: Mapping[str, float]) -> "Question":
         """The question with these values of variables, which are no longer uncertain.
 
         Raises:
-            InputError: if a value is that of the amplitude, which follows from the peak ground velocity.
+            InputError: if a value is that of a variable that follows from a quantity.
         """
-        if AMPLITUDE in values and _replaces_amplitude((*self.space.names, *self.fixed), self.variables):
-            raise InputError(f"{AMPLITUDE}: cannot have a value, because it follows from {PGV}.")
+        if (derived := self.derived) is not None and derived.replaces in values:
+            name = derived.replaces
+            raise InputError(f"{name}: cannot have a value, because it follows from {derived.quantity.name}.")
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
         notes = _left_out(space.correlation, values)
@@ -350,8 +341,8 @@ def asked_of(
         InputError: if no variable is uncertain.
     """
     names = list(space.names)
-    if AMPLITUDE in names and _replaces_amplitude((*changed, *fixed), names):
-        names = [*(name for name in names if name != AMPLITUDE), PGV]
+    if (derived := derived_in((*changed, *fixed), names)) is not None and derived.replaces in names:
+        names = [*(name for name in names if name != derived.replaces), derived.quantity.name]
     uncertain = [name for name in names if name not in fixed]
     if not uncertain:
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
@@ -372,9 +363,11 @@ def check_constraints(
     """Check that a campaign's constraints hold for values of variables, or can be kept for the uncertain ones."""
     values = space.quantities(fixed)
     written = space.written(fixed)
+    derived = derived_in((*uncertain, *fixed), space.names)
     for constraint in space.constraints:
-        if AMPLITUDE in constraint.names and _replaces_amplitude((*uncertain, *fixed), space.names):
-            raise InputError(f"constraints: {constraint.text!r} cannot hold where {AMPLITUDE} follows from {PGV}.")
+        if derived is not None and derived.replaces in constraint.names:
+            follows = f"{derived.replaces} follows from {derived.quantity.name}"
+            raise InputError(f"constraints: {constraint.text!r} cannot hold where {follows}.")
         if is_table and not constraint.names.isdisjoint(uncertain):
             raise InputError(f"constraints: {constraint.text!r} cannot hold for the pulses of a table.")
         if constraint.names <= values.keys() and not constraint.holds(values):
@@ -395,33 +388,6 @@ def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str,
     return tuple(sentences)
 
 
-def check_pulse(space: DesignSpace, what: str) -> None:
-    """Check that a campaign's variables contain a pulse, whose values are numbers in a range."""
-    for name, unit in ((PERIOD, "s"), (AMPLITUDE, "g")):
-        if (one := space.by_name.get(name)) is None:
-            known = ", ".join(space.names)
-            raise InputError(f"{what}: requires the variable {name!r} of a pulse; the campaign has {known}.")
-        if one.unit not in ("", unit):
-            raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {one.unit!r}.")
-        check_no_choices(name, space, what)
-
-
-def check_no_choices(name: str, space: DesignSpace, what: str) -> None:
-    """Check that a variable has no choices, because `what` gives it other values."""
-    one = space.by_name.get(name)
-    if one is not None and one.choices:
-        raise InputError(f"{what}: requires {name} without choices, but it {one.rule} in the campaign.")
-
-
-def has_pulse(space: DesignSpace) -> bool:
-    """Whether a campaign's variables contain a pulse."""
-    try:
-        check_pulse(space, "")
-    except InputError:
-        return False
-    return True
-
-
 def question_in(section: QuestionSettings, title: str, space: DesignSpace, further: Mapping[str, float]) -> Question:
     """The question of a section.
 
@@ -431,14 +397,15 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
         space: of the campaign.
         further: values of variables.
     """
-    known, of_velocity = space.by_name, _replaces_amplitude(section.space, space.names)
-    if of_velocity:
-        check_pulse(space, f"space.{PGV}")
-        known = known | {PGV: _VELOCITY}
+    known, derived = space.by_name, derived_in(section.space, space.names)
+    quantity = "" if derived is None else derived.quantity.name
+    if derived is not None:
+        derived.check(space, f"space.{quantity}")
+        known = known | {quantity: derived.quantity}
     with naming("space."):
         check_names([name for name in section.space if name not in known], space)
-    if of_velocity and AMPLITUDE in {*section.space, *further}:
-        raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
+    if derived is not None and derived.replaces in {*section.space, *further}:
+        raise InputError(f"space.{quantity}: cannot be combined with {derived.replaces}, which follows from it.")
     unbounded = sum(not one.is_bounded for name, one in section.space.items() if name not in further)
     distance = radius(section.reach, unbounded) if unbounded else np.inf
     stated, changed = dict[str, float](), dict[str, Parameter]()
@@ -452,19 +419,15 @@ def question_in(section: QuestionSettings, title: str, space: DesignSpace, furth
             if isinstance(entry, FixedVariable):
                 stated[name] = _number_in(entry.value, known[name], ".value")
             elif name not in further:
-                changed[name] = _restated(known[name], entry, distance)
+                changed[name] = _restated(known[name], entry, distance, in_steps=name != quantity)
     fixed = stated | dict(further)
-    if of_velocity:
-        median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5))
-        if median > LARGEST_MEDIAN:
-            raise InputError(
-                f"space.{PGV}: its median must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?"
-            )
+    if derived is not None:
+        derived.check_median(fixed[quantity] if quantity in fixed else float(changed[quantity].quantile(0.5)))
     return asked_of(section.description or title, space, changed, fixed, section.correlation)
 
 
-def _restated(own: Parameter, entry: Variable | Choices, distance: float) -> Parameter:
-    """A variable of a campaign with the distribution of a question: in the campaign's steps, or of its choices.
+def _restated(own: Parameter, entry: Variable | Choices, distance: float, in_steps: bool) -> Parameter:
+    """A variable of a campaign with the distribution of a question: of its choices, or in its steps if `in_steps`.
 
     Bounds that the question leaves out are the next values outwards.
     """
@@ -480,7 +443,7 @@ def _restated(own: Parameter, entry: Variable | Choices, distance: float) -> Par
     if own.choices or one.choices:
         rule = own.rule.replace("must be one of", "must be among") if own.choices else "must be left out"
         raise InputError(f".choices: {rule}, as in the campaign, got {list(one.choices)}.")
-    if own is _VELOCITY:
+    if not in_steps:
         return one
     if one.step not in (None, own.step):
         stated = "left out" if own.step is None else f"{own.step:g}"

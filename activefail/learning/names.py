@@ -5,8 +5,8 @@ from typing import Literal, NamedTuple
 Criterion = Literal["joint_entropy", "entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
 """What ranks the candidates (`activefail.learning.criteria.criteria`)."""
 
-FeatureSet = Literal["paper", "design", "decorrelated", "sliding", "collision"]
-"""What the classifier sees of a design (`activefail.learning.features`)."""
+FEATURE_SETS = ("design", "decorrelated")
+"""Features that need no plug-in: what the classifier sees of a design (`activefail.learning.features`)."""
 
 Kernel = Literal["rbf", "matern52"]
 """Covariance of a latent (`activefail.learning.model.covariance`): squared exponential (the paper's) or Matérn-5/2."""

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from activefail.analyses.sensitivity.findings import SensitivityFindings
     from activefail.analyses.stripes.findings import StripeFindings
     from activefail.analyses.stripes.stripe import Stripes
+    from activefail.campaign.hazard import Hazard
     from activefail.campaign.question import Question
     from activefail.execution.executor import Executor
     from activefail.pages.report.evidence import ReportFindings
-    from activefail.seismic.hazard.hazard import Hazard
 
 SIMULATIONS = "Fresh simulations, outside the budget"
 QUESTION = "File with other distributions of the variables (docs/probability.md)"
@@ -121,13 +121,14 @@ def probability(
     """
     from activefail.analyses.findings.estimates import ProbabilityFindings
     from activefail.analyses.findings.status import estimate_of
+    from activefail.analyses.stripes.findings import StripeFindings
     from activefail.campaign.inquiry import Inquiry
 
     outcome = boundary_named(run, outcome)
     asked = Inquiry.of(run.campaign, hazard, question, fixed).question
     if wrong is not None:
         with asking_stripes(run, at_once, executor, stage) as stripes:
-            return stripes.ask(asked, outcome, wrong).estimate(confidence)
+            return StripeFindings(stripes.ask(asked, outcome, wrong), confidence)
     with estimating(run, executor, stage) as estimator:
         estimate = estimator.sample(outcome, simulations, asked, checks=True).estimate(confidence)
         findings = ProbabilityFindings.of(run.campaign, run.history, estimator.classifier, outcome, estimate, asked)
@@ -258,10 +259,10 @@ def design(
     from activefail.analyses.design.by_stripes import design_by_stripes
     from activefail.analyses.design.design_task import DEFAULT_FREE, design_task, read_targets
     from activefail.analyses.design.findings import DesignFindings
+    from activefail.analyses.design.risk_target import at_risk
     from activefail.analyses.design.search import find_design
     from activefail.analyses.design.stored import remember_design
     from activefail.campaign.inquiry import Inquiry
-    from activefail.seismic.hazard.risk_target import at_risk
 
     campaign, names = run.campaign, names_of("free", free)
     requirements = read_targets(str(target), campaign.simulator.outcomes, run.boundary)

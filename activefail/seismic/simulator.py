@@ -25,11 +25,6 @@ _RIMS = {
 }
 
 
-def terms_of(simulator: object, quantities: Mapping[str, float]) -> Terms | None:
-    """The designer's terms of a bearing with these quantities (`DesignSpace.quantities`); None if it is not one."""
-    return Terms.of(quantities, simulator.model) if isinstance(simulator, DfpSimulator) else None
-
-
 @dataclass(frozen=True)
 class DfpSimulator:
     """The bearing model over the nine variables of Table 1, in any ranges; some may be features of choices.
@@ -46,6 +41,7 @@ class DfpSimulator:
     margins = o.COLUMNS
     releases_gil = True
     noun = "bearing"
+    title = "the double friction pendulum bearing"
     quantities = VARIABLES
     view = "dfp"
 
@@ -107,6 +103,10 @@ class DfpSimulator:
         """Simulate designs, (n, d), on the calling thread."""
         answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
         return Results(answers.outcome, answers.cause, answers.columns, answers.seconds)
+
+    def terms(self, quantities: Mapping[str, float]) -> Terms | None:
+        """The designer's terms of a bearing; None if one of `activefail.seismic.bearing.terms.NEEDED` has no value."""
+        return Terms.of(quantities, self.model)
 
     def harmless(self, X: Array) -> NDArray[np.bool_]:
         """Designs, (n, d), whose pulse has an amplitude of at most the friction: nothing slides, and no rim is touched.

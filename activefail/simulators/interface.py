@@ -1,6 +1,6 @@
 """The simulator interface: designs in, outcomes and margins out; and the causes of a lost run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, Self, get_args
 
@@ -113,9 +113,12 @@ class Simulator(Protocol):
     (int) are those that each simulation uses. `failing` and `impossible` (tuples of codes of causes) say which lost
     runs are failures (`settled`), and which are designs that do not exist. `space` (DesignSpace) has the names of a
     design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
-    one of the designs can have no result at all, such as one with a negative friction. `noun` is what a design
-    describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name (`Quantity`),
-    `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view (`pages/view.py`).
+    one of the designs can have no result at all, such as one with a negative friction. `harmless(X)` says which
+    designs, (n, d) -> (n,), have the least severe outcome for certain. `title` names the simulator in words, `noun` is
+    what a design describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name
+    (`Quantity`), `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view
+    (`pages/view.py`). `terms(quantities)` gives a design in the designer's terms (`Terms`), from its quantities by name
+    (`DesignSpace.quantities`); None if some lack.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -155,6 +158,33 @@ class Simulator(Protocol):
             NUMERICAL_FAILURE and one of the simulator's causes.
         """
         ...
+
+
+class Terms(Protocol):
+    """A design in the designer's terms."""
+
+    @property
+    def text(self) -> str:
+        """All in one line."""
+        ...
+
+    def lines(self, upper: Collection[str] | None = None) -> list[tuple[str, str]]:
+        """Titles and texts.
+
+        Args:
+            upper: the variables that are at their upper property bounds, to say so; None where none has bounds.
+        """
+        ...
+
+    def as_json(self) -> dict[str, float]:
+        """The terms as JSON values."""
+        ...
+
+
+def terms_of(simulator: object, quantities: Mapping[str, float]) -> Terms | None:
+    """A design in the designer's terms; None if its simulator has none."""
+    terms = getattr(simulator, "terms", None)
+    return None if terms is None else terms(quantities)
 
 
 def limits_of(simulator: object) -> tuple[str, ...]:

@@ -24,8 +24,7 @@ from activefail.learning.criteria.population import integration_points
 from activefail.seismic.bearing.design import TABLE_1
 from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
 from activefail.seismic.figures.hazard import plot_hazard
-from activefail.seismic.hazard.deaggregation import deaggregated
-from activefail.seismic.hazard.hazard import Hazard, hazard_question, read_hazard
+from activefail.seismic.hazard.hazard import Hazard, read_hazard
 from activefail.seismic.hazard.sections import RELATIONS
 from activefail.seismic.hazard.summary import HazardSummary
 from activefail.session.session import estimating
@@ -47,7 +46,7 @@ def hazard(folder: Path, text: str) -> Hazard:
 
 
 def asked(folder: Path, text: str, pgv: float | None = None, fixed: dict[str, float] = BEARING) -> Question:
-    return hazard_question(hazard(folder, text), TABLE_1, fixed, pgv)
+    return hazard(folder, text).question(TABLE_1, fixed, None if pgv is None else ("PGV", pgv))
 
 
 def logarithms(space: DesignSpace | WeightedRows, n: int = 2**14) -> dict[str, Array]:
@@ -158,7 +157,7 @@ def test_rows_enter_with_their_weights_and_those_without_weight_not_at_all(tmp_p
     assert read.rows.weight.tolist() == [1.5, 0.5]
     assert read.median_velocity == 0.5
     assert read.median_period == pytest.approx(2.0**0.25)
-    question = hazard_question(read, TABLE_1, BEARING)
+    question = read.question(TABLE_1, BEARING)
     X, weight = integration_points(question.space, 4)
     above = question.designs(X)[:, TABLE_1.names.index("T_p")] > 1.5
     assert (weight * above).mean() == pytest.approx(0.25)
@@ -166,8 +165,8 @@ def test_rows_enter_with_their_weights_and_those_without_weight_not_at_all(tmp_p
 
 def test_rows_of_amplitudes_are_the_same_pulses_as_rows_of_velocities(tmp_path: Path) -> None:
     amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
-    one = hazard_question(rows(tmp_path, "T_p,PGV\n2.0,1.0\n"), TABLE_1, BEARING)
-    other = hazard_question(rows(tmp_path, f"A_p,T_p\n{amplitude!r},2.0\n"), TABLE_1, BEARING)
+    one = rows(tmp_path, "T_p,PGV\n2.0,1.0\n").question(TABLE_1, BEARING)
+    other = rows(tmp_path, f"A_p,T_p\n{amplitude!r},2.0\n").question(TABLE_1, BEARING)
     (x, _), (y, _) = integration_points(one.space, 1), integration_points(other.space, 1)
     assert one.designs(x) == pytest.approx(other.designs(y))
 
@@ -215,7 +214,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
     T, V, weight = rng.uniform(1, 5, 12_000), rng.lognormal(-0.3, 0.4, 12_000), rng.random(12_000)
     table = "".join(f"{a},{b},{w}\n" for a, b, w in zip(T, V, weight, strict=True))
     read = rows(tmp_path, "T_p,PGV,weight\n" + table, more)
-    asked = hazard_question(read, TABLE_1, BEARING)
+    asked = read.question(TABLE_1, BEARING)
     counted: list[int] = []
 
     def fails(X: Array) -> Array:
@@ -228,12 +227,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
         assert classifier_probability(fails, asked, points) == pytest.approx(true, abs=0.015)
     found = integral_of(asked, lambda X: fails(X)[:, None], TABLE_1)
     assert found.probability[0] == pytest.approx(true, abs=0.015)
-    (deaggregation,) = deaggregated(
-        lambda X: fails(X)[:, None],
-        lambda of: hazard_question(of, TABLE_1, BEARING),
-        read,
-        found.probability,
-    )
+    (deaggregation,) = read.deaggregated(lambda X: fails(X)[:, None], TABLE_1, BEARING, found.probability)
     assert deaggregation.failures is not None
     assert deaggregation.failures.velocity.p50 > deaggregation.pulses.velocity.p50
     assert counted == [512, 2048, 4096, 4096]
@@ -267,7 +261,7 @@ def test_a_regular_table_is_thinned_without_missing_a_part_of_it() -> None:
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
     read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
     with pytest.raises(InputError, match=r"^k: requires a value, because the hazard is a table of pulses"):
-        hazard_question(read, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
+        read.question(TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
 
 
 def test_quantiles_of_weighted_values_are_the_least_that_hold_the_share() -> None:
@@ -296,7 +290,7 @@ def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
     read = hazard(tmp_path, text)
     values = {"lower": (0.048, 0.6175), "upper": (0.078, 0.65), "nominal": (0.06, 0.65)}
     for bound, (mu, capacity) in values.items():
-        question = hazard_question(read.at_bound(bound), TABLE_1, BEARING)  # type: ignore[arg-type]
+        question = read.at_bound(bound).question(TABLE_1, BEARING)  # type: ignore[arg-type]
         design = question.designs(np.array([[2.0, 1.0]]))[0]
         assert (design[1], design[2]) == (pytest.approx(mu), pytest.approx(capacity))
     assert "friction × 0.8, displacement capacity × 0.95" in read.assumptions[0]
@@ -312,7 +306,7 @@ def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, c
     read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\n{bound}\n")
     key = bound.split()[0]
     with pytest.raises(InputError, match=rf"properties\.{key}: cannot be applied, because the campaign"):
-        hazard_question(read, settings.design_space(), {})
+        read.question(settings.design_space(), {})
 
 
 # --- questions ---------------------------------------------------------------------------------------------------
@@ -328,7 +322,7 @@ def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: 
         one.at({"mu": 0.07}).digest,
         asked(tmp_path, text, pgv=1.0).digest,
         asked(tmp_path, text.replace("mu_lower = 0.8", "mu_lower = 0.9")).digest,
-        hazard_question(hazard(tmp_path, text).at_bound("nominal"), TABLE_1, BEARING).digest,
+        hazard(tmp_path, text).at_bound("nominal").question(TABLE_1, BEARING).digest,
     }
     assert len(digests) == 6
 
@@ -512,7 +506,7 @@ def test_the_share_outside_is_counted_by_variable_and_side(tmp_path: Path) -> No
     low = math.log(float(amplitude_of(np.array(0.8), np.array(3.0))) / 0.1) / spread
     assert parts["A_p", "below"] == pytest.approx(ndtr(-low), abs=1e-3)
     assert max(parts.values()) < outside.share < sum(parts.values())
-    question = hazard_question(read, TABLE_1, BEARING)
+    question = read.question(TABLE_1, BEARING)
     assert question.share_outside(TABLE_1) == pytest.approx(outside.share, abs=1e-12)
     # The factor of the lower bound takes the friction below the campaign's range.
     low_friction = HazardSummary.of(read, TABLE_1, {"mu": 0.024}).outside

@@ -21,10 +21,10 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
 from activefail.estimates.integral import boundary_of
-from activefail.pages.explorer.design import DesignPage
 from activefail.pages.explorer.jobs import Job, Jobs, StoppedError
 from activefail.run.opening import open_run
-from activefail.seismic.hazard.hazard import hazard_question, read_hazard
+from activefail.seismic.explorer.design import DesignPage
+from activefail.seismic.hazard.hazard import read_hazard
 from activefail.simulators.interface import Results
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
@@ -55,7 +55,7 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def design(findings: Findings) -> DesignPage:
-    return site_of(findings).design
+    return site_of(findings).others["design"]
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_the_required_value_and_its_curve_are_those_of_the_classifier(design, fi
     shown = Shown(design, REQUEST)
     campaign, grid = findings.campaign, shown.curve.grid
     latent = boundary_of(findings.classifier, campaign.features, "failure")
-    question = hazard_question(read_hazard(hazard), campaign.space, BEARING)
+    question = read_hazard(hazard).question(campaign.space, BEARING)
 
     def probability(at: float) -> float:
         return classifier_probability(latent, question.at({"D_tot": at}))
@@ -321,9 +321,9 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
 def test_a_required_capacity_is_one_that_is_made_and_choices_are_a_list(tmp_path):
     site = site_of(sliding(tmp_path / "run", SLIDING.replace("high = 1.0,", "high = 1.0, step = 0.1,")))
     assert '<option value="1" selected>B</option>' in site.page("/design")
-    P = Shown(site.design, ASKED).curve.P
+    P = Shown(site.others["design"], ASKED).curve.P
     target = float(f"{50.0 * (min(P) + max(P)):.6g}")
-    shown = Shown(site.design, ASKED | {"target": target})
+    shown = Shown(site.others["design"], ASKED | {"target": target})
     assert shown.required in np.round(np.arange(0.2, 1.05, 0.1), 12)
     assert shown.curve.probability(shown.required) <= target / 100.0 < shown.curve.probability(shown.required - 0.1)
 

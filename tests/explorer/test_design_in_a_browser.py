@@ -11,8 +11,8 @@ from report.browser import browser, console_errors, fresh, photograph, requested
 from report.test_report import SCRIPT
 
 from activefail.analyses.findings.results import Findings
-from activefail.pages.explorer.design import PERIODS, TARGET, DesignPage
 from activefail.pages.explorer.jobs import Job, Jobs
+from activefail.seismic.explorer.design import PERIODS, TARGET, DesignPage
 
 pytestmark = pytest.mark.needs("browser")
 
@@ -54,7 +54,7 @@ def visitor(address: str, driver: Any) -> Iterator[Designer]:
 
 @pytest.fixture(scope="module")
 def design(findings: Findings) -> DesignPage:
-    return site_of(findings).design
+    return site_of(findings).others["design"]
 
 
 def start(design: DesignPage, **changes: object) -> dict[str, Any]:

@@ -17,15 +17,13 @@ from scipy.special import ndtr, ndtri
 
 from activefail.analyses.fragility.band import Interval
 from activefail.analyses.fragility.findings import FragilityFindings
-from activefail.campaign.question import Question
 from activefail.campaign.settings import IF_CALLED, parse_settings
 from activefail.estimates.integral import integral_of
 from activefail.pages.report.analyses import curves_shown, write_fragility
 from activefail.run.opening import open_run
 from activefail.seismic.bearing.design import GRAVITY
 from activefail.seismic.bearing.pulse import VELOCITY_PER_ACCELERATION, velocity_of
-from activefail.seismic.hazard.deaggregation import deaggregated
-from activefail.seismic.hazard.hazard import Hazard, hazard_question, read_hazard
+from activefail.seismic.hazard.hazard import read_hazard
 from activefail.space.shares import significant
 from activefail.space.space import Array
 
@@ -167,12 +165,9 @@ def test_rare_failures_of_a_capacity_with_added_uncertainty_are_not_missed(tmp_p
         T_p, A_p = (X[:, space.names.index(name)] for name in ("T_p", "A_p"))
         return 1e6 * np.log(velocity_of(A_p, T_p) / limit)[:, None]
 
-    def question(hazard: Hazard) -> Question:
-        return hazard_question(hazard, space, middles)
-
     hazard = read_hazard(tmp_path / "site.toml")
-    probability = integral_of(question(hazard), beyond, space).probability
-    (parts,) = deaggregated(beyond, question, hazard, probability)
+    probability = integral_of(hazard.question(space, middles), beyond, space).probability
+    (parts,) = hazard.deaggregated(beyond, space, middles, probability)
     true = float(ndtr(-math.log(limit) / math.hypot(0.2, 0.3)))
     assert parts.probability == pytest.approx(true, rel=0.06)
     assert parts.failures is not None

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 import activefail as af
 from activefail import create_run, open_run
+from activefail.analyses.fragility.capacities import LARGEST, fit_lognormal, fitted
 from activefail.errors import InputError
 from activefail.seismic.bearing import TABLE_1, Accelerogram, simulate_records
 from activefail.seismic.bearing.design import GRAVITY, Model, Tolerance
@@ -33,7 +34,6 @@ from activefail.seismic.ida.capacity import (
     ladder,
 )
 from activefail.seismic.ida.capacity import LEVELS as LADDER
-from activefail.seismic.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.seismic.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.seismic.ida.p695 import MarginOptions
 from activefail.seismic.ida.simulations import BearingSubject, Kept

@@ -12,10 +12,11 @@ from scipy.stats import norm
 
 from activefail import open_run
 from activefail.analyses.design.design_task import Requirement, read_targets
+from activefail.analyses.design.risk_target import at_risk
 from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.errors import InputError
-from activefail.seismic.hazard.hazard import Hazard, hazard_of
-from activefail.seismic.hazard.risk_target import at_risk, pulses_of_curve
+from activefail.seismic.hazard.hazard import Hazard
+from activefail.seismic.hazard.risk_target import pulses_of_curve
 from activefail.space.space import Array
 from activefail.space.weighted import WeightedRows
 
@@ -29,7 +30,11 @@ VALUES = {
 
 
 def hazard(**more: object) -> Hazard:
-    return hazard_of({**VALUES, **more}, Path("hazard.toml"))
+    return Hazard.of({**VALUES, **more}, Path("hazard.toml"))
+
+
+def pulses_as(rate: Rate, of: Hazard) -> WeightedRows:
+    return pulses_of_curve(rate, of.rows, of.period_given)
 
 
 RATE = Rate(np.array(VELOCITIES), np.array(RATES), 50.0)
@@ -40,7 +45,7 @@ def share(rows: WeightedRows, values: Array) -> float:
 
 
 def test_pulses_of_a_curve_exceed_each_velocity_as_often_as_it_says() -> None:
-    rows = pulses_of_curve(hazard(), RATE)
+    rows = pulses_as(RATE, hazard())
     for velocity, rate in zip(VELOCITIES[1:], RATES[1:], strict=True):
         assert RATES[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(rate, rel=0.02)
     assert rows.column("PGV").min() >= 0.2
@@ -50,7 +55,7 @@ def test_pulses_of_a_curve_exceed_each_velocity_as_often_as_it_says() -> None:
 
 
 def test_every_block_of_pulses_is_a_sample_of_the_same_distribution() -> None:
-    rows = pulses_of_curve(hazard(), RATE)
+    rows = pulses_as(RATE, hazard())
     mean = share(rows, rows.column("PGV"))
     error = float(rows.standard_error(rows.column("PGV")))
     assert 0.0 < error < 0.005 * mean
@@ -71,7 +76,7 @@ def test_a_target_and_a_fragility_define_a_risk_alike(median: float, dispersion:
 
 def test_periods_have_their_distribution_given_the_velocity() -> None:
     site = hazard(pgv={"median_m_s": 1.0, "dispersion": 0.25, "correlation_with_period": 0.6})
-    rows = pulses_of_curve(site, RATE)
+    rows = pulses_as(RATE, site)
     z = (np.log(rows.column("T_p") / site.median_period)) / site.period_dispersion
     expected = 0.6 * np.log(rows.column("PGV")) / 0.25
     residual = (z - expected) / 0.8
@@ -86,7 +91,7 @@ def test_periods_of_a_table_are_those_of_its_pulses_of_similar_velocity() -> Non
     # Long periods where the velocity is large, as a table of correlated pulses has them.
     period = np.where(short, 1.0, 2.0) * np.where(velocity > 1.0, 4.0, 1.0)
     table = WeightedRows(("T_p", "PGV"), np.column_stack([period, velocity]), np.ones(6000))
-    rows = pulses_of_curve(replace(hazard(), rows=table), RATE)
+    rows = pulses_as(RATE, replace(hazard(), rows=table))
     for large, periods in ((True, (4.0, 8.0)), (False, (1.0, 2.0))):
         far = (rows.column("PGV") > 1.25) if large else (rows.column("PGV") < 0.8)
         assert set(rows.column("T_p")[far]) == set(periods)
@@ -99,7 +104,7 @@ def test_periods_of_a_table_are_those_of_its_pulses_of_similar_velocity() -> Non
     ids=["a step", "steep", "flat"],
 )
 def test_no_curve_rests_on_a_few_pulses(velocities: list[float], rates: list[float]) -> None:
-    rows = pulses_of_curve(hazard(), Rate(np.array(velocities), np.array(rates)))
+    rows = pulses_as(Rate(np.array(velocities), np.array(rates)), hazard())
     if rates[1] < 1e-3:
         assert rows.weight.sum() ** 2 / (rows.weight**2).sum() > 1000
     for velocity, rate in zip(velocities[1:], rates[1:], strict=True):
@@ -141,7 +146,7 @@ def test_a_risk_that_is_none_is_refused(text: str) -> None:
 
 def test_what_a_risk_needs_is_told() -> None:
     one = Requirement("failure", 0.01, 50.0)
-    without = hazard_of({name: VALUES[name] for name in ("magnitude", "pgv")}, Path("hazard.toml"))
+    without = Hazard.of({name: VALUES[name] for name in ("magnitude", "pgv")}, Path("hazard.toml"))
     for site in (None, without):
         with pytest.raises(InputError, match=r"requires a hazard with a \[curve\]"):
             at_risk(site, [one])

@@ -21,7 +21,7 @@ from activefail.campaign.inquiry import Inquiry
 from activefail.loop.history import History
 from activefail.run.run import Run
 from activefail.seismic.bearing.pulse import velocity_of
-from activefail.seismic.hazard.hazard import hazard_question, read_hazard
+from activefail.seismic.hazard.hazard import read_hazard
 from activefail.simulators.interface import Results
 from activefail.space.space import Array
 
@@ -239,7 +239,7 @@ def test_many_rows_of_pulses_are_thinned_with_their_weights(campaign: Campaign, 
         return np.asarray(5.0 * np.log(velocity_of(X[:, 3], X[:, 2]) / 0.9))
 
     found = sensitivity(Inquiry.of_hazard(campaign, hazard, base), alone(fails), "failure")
-    true = classifier_probability(fails, hazard_question(hazard, campaign.space, base))
+    true = classifier_probability(fails, hazard.question(campaign.space, base))
     assert 0.1 < true < 0.4
     assert found.probability == pytest.approx(true, abs=2e-3)
     assert found.pulses == 128

@@ -16,8 +16,9 @@ from activefail.estimates.integral import BoundariesOf, integrate
 from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
-from activefail.seismic.hazard.hazard import hazard_question, read_hazard
-from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.seismic.hazard.hazard import read_hazard
+from activefail.seismic.simulator import DfpSimulator
+from activefail.simulators.interface import terms_of
 from activefail.space.space import Array, DesignSpace
 
 CAMPAIGN = 'seed = 1\nsampling = { initial = 40, budget = 40 }\nclassifier.features = "paper"'
@@ -131,10 +132,10 @@ def test_property_bounds_lead_between_steps_but_not_between_choices() -> None:
     hazard = read_hazard(CATALOGUE.parent / "hazards" / "near_fault.toml")
     text = CATALOGUE.read_text()
     with pytest.raises(InputError, match="mu_lower: cannot be applied, because the campaign has mu as a feature of"):
-        hazard_question(hazard, Campaign.of(parse_settings(text, "catalogue")).space, {})
+        hazard.question(Campaign.of(parse_settings(text, "catalogue")).space, {})
     liner = next(line for line in text.splitlines() if line.startswith("liner"))
     space = Campaign.of(parse_settings(text.replace(liner, "mu = { low = 0.02, high = 0.12, step = 0.02 }"), "f")).space
     given = {"D_tot": 0.6, "rim": 1.0}
-    between, beyond = (hazard_question(hazard, space, {**given, "mu": mu}).outside(space) for mu in (0.08, 0.02))
+    between, beyond = (hazard.question(space, {**given, "mu": mu}).outside(space) for mu in (0.08, 0.02))
     assert between.share < 0.5
     assert beyond.share == 1.0

@@ -16,6 +16,7 @@ from scipy.stats import beta, norm
 from activefail.analyses.design.by_stripes import design_by_stripes
 from activefail.analyses.design.design_task import Requirement, design_task
 from activefail.analyses.design.findings import DesignFindings
+from activefail.analyses.fragility.capacities import fit_lognormal
 from activefail.analyses.stripes.intervals import (
     Checked,
     SureWrong,
@@ -43,7 +44,6 @@ from activefail.record.batch import GIVEN
 from activefail.record.memory import MemoryStore
 from activefail.run.analyses import probability
 from activefail.run.opening import open_run
-from activefail.seismic.ida.collapse import fit_lognormal
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space.parameter import Parameter
 from activefail.space.shares import significant

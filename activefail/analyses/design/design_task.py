@@ -13,7 +13,7 @@ import numpy as np
 from activefail.analyses.classifier_probability import POINTS
 from activefail.analyses.fragility.curve import Rate
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.space.expressions import check_no_texts, parse_expression
 from activefail.space.parameter import Parameter
@@ -25,9 +25,6 @@ RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
 
 DEFAULT_FREE = "D_tot"
 """The variable of a bearing that is made as small as possible."""
-
-BEARING_PERIOD = "T_b"
-"""Variable of a bearing that gives the stiffness of its lateral force."""
 
 MOST_COMBINATIONS, MOST_SEARCHED = 5000, 100
 """Most combinations of the values of free variables that are compared, and of choices beside a continuous variable,
@@ -296,9 +293,11 @@ def design_task(
             raise InputError(f"free: names {name!r} twice.")
         if ranges[name].groups is not None:
             raise InputError(f"free: {name} has the records of a set, which the designer cannot choose.")
-        if PGV in {*question.space.names, *question.fixed} and name in (PERIOD, AMPLITUDE):
+        if (derived := question.derived) is not None and name in derived.units:
+            of = getattr(asked.campaign.simulator, "noun", "design")
             raise InputError(
-                f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the bearing."
+                f"free: {name} belongs to the {derived.of}, which the designer cannot choose. Name variables of the "
+                f"{of}."
             )
     if set(question.space.names) <= set(names):
         why = "so nothing is uncertain and no outcome has a probability"

@@ -6,21 +6,19 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from activefail.analyses.design.by_stripes import candidates_of
-from activefail.analyses.design.design_task import BEARING_PERIOD, LOOKS
+from activefail.analyses.design.design_task import LOOKS
 from activefail.analyses.design.required_chart import RequiredChart, chart_of
 from activefail.analyses.design.search import WORTH, Answer, Designed, costs_of
 from activefail.analyses.findings.learned_from import noise_notes
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.stripes.findings import StripeFindings
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import Hazard
 from activefail.campaign.question import Outside, Question
 from activefail.estimates.estimate import ProbabilityEstimate
 from activefail.estimates.probability_estimator import Estimator
-from activefail.seismic.bearing.design import GRAVITY
-from activefail.seismic.bearing.terms import Terms
-from activefail.seismic.hazard.hazard import CAPACITY, FRICTION, Hazard
-from activefail.seismic.simulator import terms_of
-from activefail.simulators.interface import limits_of
+from activefail.plugins import brought
+from activefail.simulators.interface import Terms, limits_of, terms_of
 from activefail.space.shares import bounds_percent, percent, short, values_in_words
 from activefail.text.json_text import json_values
 from activefail.text.progress import Stage
@@ -89,7 +87,7 @@ class DesignFindings:
             if (upper := hazard.at_bound("upper")).factors:
                 at_upper = probabilities(at_design.under(upper))
             if task.rate is not None:
-                at_least = probabilities(at_design.under(hazard, task.rate.velocity))
+                at_least = probabilities(at_design.under(hazard, (hazard.intensity, task.rate.velocity)))
         outside = designed.question.outside(task.asked.campaign.space)
         noise = tuple(noise_notes(estimator.classifier))
         return cls(designed, outside, at_upper, at_least, costs, chart, noise)
@@ -120,36 +118,21 @@ class DesignFindings:
         return list(self.designed.question.space.names)
 
     @property
-    def lateral_force(self) -> float | None:
-        """Lateral force at the displacement capacity over the weight, at the upper bound of friction.
-
-        μ + D_tot (2π/T_b)²/g, the force of two equal dishes before a rim is touched. None if the campaign's design is
-        not a bearing.
-        """
-        known = self._at_upper_friction
-        if not {BEARING_PERIOD, FRICTION, CAPACITY} <= known.keys():
-            return None
-        stiffness = (2.0 * math.pi / known[BEARING_PERIOD]) ** 2 / GRAVITY
-        return known[FRICTION] + known[CAPACITY] * stiffness
+    def formulas(self) -> dict[str, tuple[float, str, str] | None]:
+        """By name, what formulas of plug-ins give at the upper property bounds: a number, a title and a text."""
+        return {name: formula(self._at_upper, self._upper) for name, formula in brought("formulas").items()}
 
     @property
     def terms(self) -> Terms | None:
-        """The bearing in the designer's terms, at the upper bound of friction; None if a value is uncertain."""
-        return terms_of(self.campaign.simulator, self._at_upper_friction)
+        """The design in the designer's terms, at the upper property bounds; None if a value is uncertain."""
+        return terms_of(self.campaign.simulator, self._at_upper)
 
     @property
-    def friction(self) -> str:
-        """The friction of `lateral_force` and `terms`, in words."""
-        if FRICTION in self._upper:
-            return "at the upper bound of friction"
-        return "at the given friction (the hazard has no upper bound)"
-
-    @property
-    def _upper(self) -> dict[str, float]:
+    def _upper(self) -> Mapping[str, float]:
         return self.hazard.at_bound("upper").factors if self.hazard else {}
 
     @property
-    def _at_upper_friction(self) -> dict[str, float]:
+    def _at_upper(self) -> dict[str, float]:
         known = self.campaign.space.quantities(self.designed.question.fixed)
         return {name: value * self._upper.get(name, 1.0) for name, value in known.items()}
 
@@ -162,8 +145,8 @@ class DesignFindings:
             if name in task.question.fixed:
                 given = self.in_words({name: task.question.fixed[name]})
                 sentences.append(f"{name} is a free variable, so the given {given} was ignored.")
-        of_pulse = () if self.hazard is None else ("T_p", "A_p")
-        kept = [name for name in self.uncertain if name in self.campaign.space.names and name not in of_pulse]
+        of_loads = () if self.hazard is None else self.hazard.variables
+        kept = [name for name in self.uncertain if name in self.campaign.space.names and name not in of_loads]
         if kept and not self.designed.by_stripes:
             sentences.append(
                 f"No value is given for {', '.join(kept)}. The distribution is that of the question, or else the "
@@ -395,7 +378,7 @@ class DesignFindings:
                 "first_free_variable_by_confidence": {
                     f"{of:g}": self._first(value) for of, value in self.costs.items()
                 },
-                "lateral_force_over_weight": self.lateral_force,
+                **{name: found and found[0] for name, found in self.formulas.items()},
                 "terms": self.terms and self.terms.as_json(),
                 "classifier_probability_at_upper_bounds": self.at_upper or None,
                 "classifier_probability_at_least_velocity": self.at_least or None,
@@ -457,10 +440,9 @@ class DesignFindings:
             )
             rows.append(("confidence", f"{first} at another confidence, approximately and not verified: {shown}"))
         if self.terms is not None:
-            rows += self.terms.lines(f", {self.friction}")
-        elif (force := self.lateral_force) is not None:
-            text = f"lateral force at D_tot over weight: {force:.3g}, {self.friction} (formula, no interval)"
-            rows.append(("force", text))
+            rows += self.terms.lines(self._upper)
+        else:
+            rows += [found[1:] for found in self.formulas.values() if found is not None]
         for event, share in zip(events, self.at_upper, strict=False):
             rows.append(
                 ("upper", f"{event} at the upper property bounds: {percent(share, 2)} (classifier, no interval)")

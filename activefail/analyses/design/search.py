@@ -100,7 +100,14 @@ class Look:
     @cached_property
     def estimates(self) -> tuple[Answer, ...]:
         """The probability of each requirement's outcome."""
-        return tuple(sampled.estimate(2.0 * self.of_bound - 1.0) for sampled in self.sampled)
+        return self.estimates_of(2.0 * self.of_bound - 1.0)
+
+    def estimates_of(self, confidence: float) -> tuple[Answer, ...]:
+        """The same with intervals of another confidence."""
+        return tuple(
+            StripeFindings(one, confidence) if isinstance(one, Stripe) else one.estimate(confidence)
+            for one in self.sampled
+        )
 
     @property
     def simulations(self) -> int:
@@ -269,7 +276,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         if looks:
             # What the last look showed; the classifier would only say how unsure it is.
             ratio = math.sqrt(looks[-1].size / size)
-            estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
+            estimates = looks[-1].estimates_of(confidence)
             return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
         if size not in imagined:
             question = task.question.at(nearest).drawn(_IMAGINED, task.unguided)
@@ -410,7 +417,7 @@ def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
     model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
 
     def value(confidence: float) -> float:
-        highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
+        highs = np.array([one.high for one in look.estimates_of(2.0 * confidence - 1.0)])
         aims = _corrected(task.targets, look.candidate.model, highs)
         of_search = np.maximum(model(designed.values, task.points), _LEAST)
         candidate = cheapest(task, model, aims * of_search / np.maximum(look.candidate.model, _LEAST), held)

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.analyses.fragility.band import VerifiedLevel
+from activefail.analyses.fragility.capacities import Fragility, fitted
 from activefail.analyses.fragility.curve import Curve, Ladder, why_not_fitted
 from activefail.analyses.fragility.findings import BoundaryFragility, FragilityFindings
 from activefail.analyses.stripes.findings import StripeFindings
@@ -11,7 +12,6 @@ from activefail.analyses.stripes.stripe import Stripe, Stripes
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.errors import InputError
-from activefail.seismic.ida.collapse import Fragility, fitted
 from activefail.space.shares import values_in_words
 
 _LEVELS = 4
@@ -63,7 +63,7 @@ def fragility_by_stripes(
     found: dict[int, StripeFindings] = {}
     for place in np.argsort(np.abs(np.arange(len(levels)) - len(levels) // 2), kind="stable").tolist():
         stripes.stage(f"{ladder.name} = {levels[place]:.4g}")
-        found[place] = stripes.ask(at(float(levels[place])), outcome, wrong).estimate(confidence)
+        found[place] = StripeFindings(stripes.ask(at(float(levels[place])), outcome, wrong), confidence)
     at_levels = [stripes.predicted(at(level), outcome) for level in all_levels.tolist()]
     curve, weight = Curve(ladder, np.array([one.probability for one in at_levels]), 0.0), at_levels[0].values.weight
     is_outside = np.array([~campaign.space.spans(one.values.X) for one in at_levels])

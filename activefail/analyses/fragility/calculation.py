@@ -1,23 +1,18 @@
-"""The fragility of a bearing under a hazard, or against one variable under a question."""
+"""The fragility of a design under a hazard, or against one variable under a question."""
 
 from dataclasses import replace
-from functools import partial
-
-import numpy as np
 
 from activefail.analyses.findings.learned_from import noise_notes
 from activefail.analyses.fragility.band import VerifiedLevel, stored, verify
 from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of
 from activefail.analyses.fragility.findings import NO_RATES, BoundaryFragility, FragilityFindings
-from activefail.analyses.fragility.levels import RESOLUTION, curves_on, median_intensity, question_at
+from activefail.analyses.fragility.levels import RESOLUTION, curves_on
+from activefail.campaign.hazard import Hazard
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.campaign.question import Question
 from activefail.estimates.integral import integral_of
 from activefail.estimates.probability_estimator import Estimator
-from activefail.seismic.hazard.deaggregation import deaggregated
-from activefail.seismic.hazard.hazard import Bound, Hazard
-from activefail.seismic.simulator import terms_of
-from activefail.simulators.interface import limits_of
+from activefail.simulators.interface import limits_of, terms_of
 from activefail.space.shares import percent, values_in_words
 from activefail.text.progress import Stage, silent
 
@@ -31,7 +26,7 @@ def fragility(
     confidence: float,
     stage: Stage = silent,
 ) -> FragilityFindings:
-    """The fragility against the intensity of a hazard's pulses, or against a variable of another question.
+    """The fragility against the intensity of a hazard's loads, or against a variable of another question.
 
     The other uncertain variables are integrated out.
 
@@ -50,7 +45,7 @@ def fragility(
     def at_level(level: float) -> Question:
         if hazard is None:
             return question.at({ladder.name: level})
-        return question_at(asked, hazard, ladder.name, level)
+        return asked.under(hazard, (ladder.name, level))
 
     def verified(of: str, curve: Curve) -> tuple[VerifiedLevel, ...]:
         if simulations is None:
@@ -92,25 +87,23 @@ def fragility(
 def _under_hazard(
     findings: FragilityFindings, estimator: Estimator, asked: Inquiry, hazard: Hazard, ladder: Ladder, stage: Stage
 ) -> FragilityFindings:
-    """The findings with what a hazard adds: its median, property bounds, pulses and risk."""
-    space, boundaries, median = asked.campaign.space, estimator.boundaries, median_intensity(hazard, ladder.name)
-    curve, alone = hazard.settings.curve, None
-    if hazard.added_dispersion > 0.0 or hazard.bias != 0.0:
+    """The findings with what a hazard adds: its median, property bounds, loads and risk."""
+    space, boundaries, median = asked.campaign.space, estimator.boundaries, hazard.median(ladder.name)
+    without, alone = hazard.alone, None
+    if without is not None:
         stage("evaluating the curves of the pulses alone")
-        at_level = partial(question_at, asked, hazard.without_uncertainty(), ladder.name)
-        alone, _, _ = curves_on(boundaries, at_level, ladder, space)
-    bounds: tuple[Bound, ...] = ("lower", "nominal", "upper") if hazard.settings.properties else ("nominal",)
+        alone, _, _ = curves_on(boundaries, lambda level: asked.under(without, (ladder.name, level)), ladder, space)
     at_bounds = {
         bound: integral_of(
-            question_at(asked, hazard.at_bound(bound), ladder.name, median), boundaries, space, RESOLUTION
+            asked.under(hazard.at_bound(bound), (ladder.name, median)), boundaries, space, RESOLUTION
         ).probability.tolist()
-        for bound in bounds
+        for bound in hazard.bounds
     }
     stage("finding the pulses that contribute")
     whole = integral_of(asked.question, boundaries, space).probability
-    parts = deaggregated(boundaries, asked.under, hazard, whole)
-    rate = curve and Rate(np.array(curve.pgv_m_s), np.array(curve.annual_rate))
-    why = "" if ladder.name == PGV else "the hazard's annual rates are those of PGV, not of A_p"
+    parts = hazard.deaggregated(boundaries, space, asked.fixed, whole)
+    rate, of_rates = None if hazard.rates is None else Rate(*hazard.rates), hazard.intensity
+    why = "" if ladder.name == of_rates else f"the hazard's annual rates are those of {of_rates}, not of {ladder.name}"
     outside = asked.question.outside(space)
     few = f"{percent(outside.share)} of the hazard's pulses lie outside the campaign's design space."
     return replace(
@@ -144,10 +137,6 @@ def _notes(asked: Inquiry, name: str) -> list[str]:
                 f"correlation: the distribution is the same at each {name}."
             )
         return notes
-    if others := [one for one in asked.campaign.space.names if one not in {PERIOD, AMPLITUDE, *asked.fixed}]:
+    if others := [one for one in asked.campaign.space.names if one not in {*hazard.variables, *asked.fixed}]:
         notes.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
-    if name == AMPLITUDE:
-        notes.append("At each amplitude the pulse periods have the same distribution, because the pulses are scaled.")
-    elif hazard.rows is not None:
-        notes.append("At each PGV the periods have the distribution of all the hazard's pulses.")
-    return notes
+    return [*notes, *hazard.assumptions_at(name)]

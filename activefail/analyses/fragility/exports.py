@@ -119,12 +119,7 @@ def files_of(findings: FragilityFindings) -> dict[str, str | Callable[[Path], No
 
 
 def _write_deaggregation(findings: FragilityFindings, target: Target) -> None:
-    header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
-    with writing(target, header) as write:
-        for one in findings.boundaries:
-            parts = one.deaggregation
-            assert parts is not None
-            for row, column in np.ndindex(parts.pulses.share.shape):
-                edges = [*parts.period[row : row + 2].tolist(), *parts.velocity[column : column + 2].tolist()]
-                of_failures = float(parts.failures.share[row, column]) if parts.failures else ""
-                write([[one.outcome, *edges, of_failures, float(parts.pulses.share[row, column])]])
+    parts = {one.outcome: one.deaggregation for one in findings.boundaries if one.deaggregation is not None}
+    with writing(target, ["outcome", *next(iter(parts.values())).header]) as write:
+        for outcome, one in parts.items():
+            write([[outcome, *row] for row in one.table])

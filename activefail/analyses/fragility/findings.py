@@ -9,6 +9,7 @@ import numpy as np
 
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
+from activefail.analyses.fragility.capacities import CONFIDENCE, Fragility
 from activefail.analyses.fragility.curve import (
     Capacity,
     Curve,
@@ -20,9 +21,8 @@ from activefail.analyses.fragility.curve import (
     why_not_fitted,
 )
 from activefail.analyses.stripes.findings import StripeFindings
-from activefail.seismic.bearing.terms import Terms
-from activefail.seismic.hazard.deaggregation import Deaggregation
-from activefail.seismic.ida.collapse import CONFIDENCE, Fragility
+from activefail.campaign.hazard import Deaggregation
+from activefail.simulators.interface import Terms
 from activefail.space.parameter import Choice
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
@@ -105,7 +105,7 @@ class FragilityFindings:
         confidence: of the intervals.
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
-        terms: the bearing in the designer's terms; None without a bearing, or if a value is uncertain.
+        terms: the design in the designer's terms; None if the simulator has none, or a value is uncertain.
         median: the hazard's median of the intensity; None without a hazard.
         outside_hazard: share of the whole hazard outside the design space; None without a hazard.
         why_no_risk: empty if there is a risk.
@@ -358,7 +358,7 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
         )
         rows.append(("risk", text))
     if one.deaggregation is not None:
-        rows += _of_pulses(one.deaggregation)
+        rows += one.deaggregation.rows
     return rows
 
 
@@ -384,17 +384,3 @@ def ends_in_words(interval: Interval) -> str:
     if low and high:
         return f"{low} to {high}"
     return f"from {low}" if low else f"up to {high}" if high else ""
-
-
-def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:
-    whole = f"{percent(parts.probability)} under the whole hazard"
-    if parts.failures is None:
-        return [("pulses", f"{whole}: failure is too rare to be attributed to pulses")]
-    rows = [("pulses", whole)]
-    for title, (_, T, v) in (("of the failures", parts.failures), ("of all pulses", parts.pulses)):
-        text = (
-            f"{title}: T_p {T.p50:.3g} s ({T.p5:.3g} to {T.p95:.3g}), PGV {v.p50:.3g} m/s ({v.p5:.3g} to "
-            f"{v.p95:.3g}); medians and 90 % ranges"
-        )
-        rows.append(("", text))
-    return rows

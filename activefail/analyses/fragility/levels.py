@@ -2,31 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from activefail.analyses.fragility.curve import Curve, Ladder
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.estimates.integral import Boundaries, Integral, integral_of
-from activefail.seismic.bearing.pulse import amplitude_of
-from activefail.seismic.hazard.hazard import Hazard
 from activefail.space.space import Array, DesignSpace
-from activefail.space.weighted import WeightedRows, weighted_quantiles
 from activefail.visible import visible
-
-PulseIntensity = Literal["pgv", "a_p"]
-
-UNITS = {"pgv": (PGV, "m/s"), "a_p": (AMPLITUDE, "g")}
-"""Name and unit of each intensity."""
-
-_PER_DECADE = 24
-"""Levels of a ladder of intensities in a factor of ten."""
-
-_RANGES = {"pgv": (0.1, 4.0), "a_p": (0.02, 2.0)}
-"""Range of each ladder of intensities."""
 
 _STEPS = 40
 """Steps of the ladder of another variable."""
@@ -46,15 +31,15 @@ _BOUNDS = "bounds (--range)"
 
 def ladder_of(
     asked: Inquiry,
-    intensity: PulseIntensity = "pgv",
+    intensity: str = "pgv",
     against: str | None = None,
     bounds: tuple[float, float] | None = None,
 ) -> Ladder:
-    """The levels of a curve: of the intensity of a hazard's pulses, or of an uncertain variable of another question.
+    """The levels of a curve: of the intensity of a hazard's loads, or of an uncertain variable of another question.
 
     Args:
         asked: what is asked.
-        intensity: with a hazard.
+        intensity: with a hazard, which knows it.
         against: the variable, without one; its ladder has 40 steps.
         bounds: of the variable's levels; those of the campaign if None.
 
@@ -64,7 +49,7 @@ def ladder_of(
     if asked.hazard is not None:
         if against is not None:
             raise InputError("against: cannot be combined with hazard.")
-        return intensity_ladder(intensity, asked.hazard)
+        return Ladder(*asked.hazard.levels(intensity), is_log=True)
     if against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
     question, space = asked.question, asked.campaign.space
@@ -99,65 +84,6 @@ def ladder_of(
         raise InputError(f"{_BOUNDS}: must hold two levels at which designs exist, got {low:g},{high:g}.")
     levels = known_one.column(levels) if known_one is not None else levels
     return Ladder(against, known_one.unit if known_one else "", levels, is_log, in_steps)
-
-
-def intensity_ladder(intensity: PulseIntensity, hazard: Hazard) -> Ladder:
-    """The ladder of an intensity: 24 fixed levels in a factor of ten; it includes the hazard's curve."""
-    low, high = _RANGES[intensity]
-    if intensity == "pgv":
-        low, high = min(low, hazard.median_velocity), max(high, hazard.median_velocity)
-        if hazard.settings.curve is not None:
-            low, high = min(low, hazard.settings.curve.pgv_m_s[0]), max(high, hazard.settings.curve.pgv_m_s[-1])
-    first, last = (_PER_DECADE * np.log10(end) for end in (low, high))
-    steps = np.arange(int(np.floor(first + 1e-9)), int(np.ceil(last - 1e-9)) + 1)
-    name, unit = UNITS[intensity]
-    return Ladder(name, unit, np.asarray(10.0 ** (steps / _PER_DECADE)), is_log=True)
-
-
-def question_at(asked: Inquiry, hazard: Hazard, name: str, level: float) -> Question:
-    """The question of a hazard, given the intensity of its pulses.
-
-    Given the peak ground velocity, the period has its conditional distribution. Given the amplitude, it keeps its
-    distribution: the same pulses are scaled.
-
-    Args:
-        asked: campaign and values.
-        hazard: a variant of what is asked.
-        name: PGV [m/s] or A_p [g].
-        level: of the intensity.
-    """
-    if name == AMPLITUDE and (pgv := hazard.settings.pgv) is not None:
-        alone = hazard.settings.model_copy(update={"pgv": pgv.model_copy(update={"correlation_with_period": 0.0})})
-        hazard = replace(hazard, settings=alone)
-    question = asked.under(hazard, level)
-    return question if name == PGV else _with_amplitude(question)
-
-
-def _with_amplitude(question: Question) -> Question:
-    """A question about a velocity as one about an amplitude with the same numbers."""
-
-    def renamed(name: str) -> str:
-        return AMPLITUDE if name == PGV else name
-
-    space = question.space
-    if isinstance(space, WeightedRows):
-        space = replace(space, names=tuple(map(renamed, space.names)))
-    else:
-        parameters = (replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in space.parameters)
-        space = replace(space, parameters=tuple(parameters))
-    return replace(question, space=space, fixed={renamed(name): value for name, value in question.fixed.items()})
-
-
-def median_intensity(hazard: Hazard, name: str) -> float:
-    """Median of the hazard's peak ground velocities PGV [m/s] or amplitudes A_p [g]."""
-    if name == PGV:
-        return hazard.median_velocity
-    rows = hazard.rows
-    if rows is None:
-        return float(amplitude_of(np.array(hazard.median_velocity), np.array(hazard.median_period)))
-    known = AMPLITUDE in rows.names
-    values = rows.column(AMPLITUDE) if known else amplitude_of(rows.column(PGV), rows.column(PERIOD))
-    return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
 
 
 def curves_on(

@@ -17,13 +17,12 @@ from activefail.analyses.fragility.levels import RESOLUTION
 from activefail.analyses.sensitivity.findings import HIGH, LOW, Move, SensitivityFindings
 from activefail.analyses.sensitivity.sobol import NOTHING, Decomposition, checked_samples, decomposed
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.estimates.integral import Boundaries, existence, integral_of
 from activefail.learning.criteria.population import integration_points
 from activefail.learning.model.classifier import Classifier
 from activefail.learning.model.system import ByMargins
-from activefail.seismic.hazard.hazard import hazard_question
 from activefail.simulators.interface import limits_of
 from activefail.space.parameter import Parameter
 from activefail.space.shares import power
@@ -217,13 +216,13 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     """
     campaign, hazard = asked.campaign, asked.hazard
     assert hazard is not None
-    design = tuple(one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE))
+    design = tuple(one for one in campaign.space.parameters if one.name not in hazard.variables)
     if not design:
         raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
     base = {
         one.name: float(np.argmax(one.probabilities) if one.choices else one.quantile(0.5)) for one in design
     } | asked.fixed
-    question = hazard_question(hazard, campaign.space, base)
+    question = hazard.question(campaign.space, base)
     free = tuple(one for one in design if one.name not in asked.fixed)
     choices = ", ".join(f"{one.name} = {one.written(base[one.name])}" for one in free if one.choices)
     held = f"medians or most probable choices ({choices})" if choices else "medians"

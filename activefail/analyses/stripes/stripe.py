@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,6 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, is_impossible
 from activefail.space.shares import percent
 from activefail.space.space import Array
 from activefail.text.progress import Stage, silent
-
-if TYPE_CHECKING:
-    from activefail.analyses.stripes.findings import StripeFindings
 
 _CHECKED, _LEAST_CHECKED = 0.1, 3
 """Share of the predictions that a check simulates too, and their least number."""
@@ -179,12 +176,6 @@ class Stripe:
         found = of_others(self.beyond, self.values.weight, self.values.group, self._drawn, confidence)
         these = self.of_these(confidence)
         return found and Interval(min(found.low, these.low), max(found.high, these.high))
-
-    def estimate(self, confidence: float) -> "StripeFindings":
-        """The probability with intervals of this confidence."""
-        from activefail.analyses.stripes.findings import StripeFindings
-
-        return StripeFindings(self, confidence)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,8 @@ A page is a form. A panel is a part of it that the server makes from the form's 
 shows the HTML that comes back, whenever a field changes, when a button is pressed, or after a while.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, Protocol
 
 from markupsafe import Markup
@@ -17,16 +18,26 @@ Panel = Callable[[Values], str]
 """Makes HTML from a form; raises InputError if a value is invalid."""
 
 
-_TEMPLATES = page_environment("activefail.pages.explorer")
+_PACKAGE = "activefail.pages.explorer"
+
+_templates = cache(page_environment)
 
 
-def page(name: str, **values: Any) -> Markup:
-    """Render the template of a page or of a panel."""
-    return Markup(
-        _TEMPLATES.get_template(f"{name}.html.j2").render(
-            {"version": __version__, "home": "", "has_design": False} | values
-        )
-    )
+def page(name: str, package: str = _PACKAGE, **values: Any) -> Markup:
+    """Render the template of a page or of a panel, from a package that may extend the explorer's templates."""
+    template = _templates(*dict.fromkeys((package, _PACKAGE))).get_template(f"{name}.html.j2")
+    return Markup(template.render({"version": __version__, "home": "", "others": {}} | values))
+
+
+class CampaignPage(Protocol):
+    """A page of a campaign that a plug-in brings; thread-safe."""
+
+    def page(self, **links: Any) -> str:
+        """The page, with its links to others."""
+
+    @property
+    def panels(self) -> Mapping[str, Panel]:
+        """Its panels by name."""
 
 
 class Site(Protocol):

@@ -1,17 +1,13 @@
-"""The site of one campaign: the page of one design, and the page Design where it has a pulse and a capacity."""
+"""The site of one campaign: the page of one design, and the pages of plug-ins for campaigns like it."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from activefail.analyses.findings.results import Findings
-from activefail.campaign.question import has_pulse
 from activefail.pages.explorer.campaign import OneDesign, Slow
 from activefail.pages.explorer.jobs import Jobs
-from activefail.pages.explorer.pages import Panel
-from activefail.seismic.hazard.hazard import CAPACITY
-
-if TYPE_CHECKING:
-    from activefail.pages.explorer.design import DesignPage
+from activefail.pages.explorer.pages import CampaignPage, Panel
+from activefail.plugins import brought
 
 
 class CampaignSite:
@@ -19,21 +15,18 @@ class CampaignSite:
 
     Attributes:
         one: the page of one design.
-        has_design: whether there is the page Design.
     """
 
     def __init__(self, findings: Findings, slow: Slow, jobs: Jobs, home: str = "") -> None:
         self.one, self._jobs, space = OneDesign(findings, slow), jobs, findings.campaign.space
-        has_capacity = any(one.name == CAPACITY and not one.choices for one in space.parameters)
-        self.has_design = has_capacity and has_pulse(space)
-        self._links: dict[str, Any] = {"home": home, "has_design": self.has_design}
+        offered = {path: of(space) for path, of in brought("explorer_pages").items()}
+        self._offered = {path: one for path, one in offered.items() if one is not None}
+        self._links: dict[str, Any] = {"home": home, "others": {path: one[0] for path, one in self._offered.items()}}
 
     @cached_property
-    def design(self) -> "DesignPage":
-        """The page Design."""
-        from activefail.pages.explorer.design import DesignPage  # it loads torch
-
-        return DesignPage(self.one, self._jobs)
+    def others(self) -> dict[str, CampaignPage]:
+        """The pages of plug-ins, by path."""
+        return {path: make(self.one, self._jobs) for path, (_, make) in self._offered.items()}
 
     @cached_property
     def _first(self) -> str:
@@ -41,15 +34,15 @@ class CampaignSite:
 
     def page(self, path: str) -> str | None:
         """As `Site.page`."""
-        if path == "/design" and self.has_design:
-            return self.design.page(**self._links)
-        return self._first if path == "/" else None
+        if path == "/":
+            return self._first
+        return self.others[path[1:]].page(**self._links) if path[1:] in self._offered else None
 
     def panel(self, name: str) -> Panel | None:
         """As `Site.panel`."""
-        if name in ("required", "verify"):
-            return self.design.panels[name] if self.has_design else None
-        return self.one.panels.get(name)
+        if name in self.one.panels:
+            return self.one.panels[name]
+        return next((page.panels[name] for page in self.others.values() if name in page.panels), None)
 
     def below(self, name: str, anew: bool) -> None:
         """As `Site.below`: none."""

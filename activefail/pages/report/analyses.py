@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.findings.quantities import by_name, of_simulator
+from activefail.analyses.fragility.capacities import CONFIDENCE
+from activefail.analyses.fragility.capacities import Fragility as LognormalFit
 from activefail.analyses.fragility.exports import OPENQUAKE, PELICUN, files_of
 from activefail.analyses.fragility.findings import (
     CAPACITIES,
@@ -30,8 +32,6 @@ from activefail.pages.figures.risk import (
 from activefail.pages.figures.style import save_png_and_svg
 from activefail.pages.figures.svg import inlined
 from activefail.pages.report.environment import markdown_environment, page_environment
-from activefail.seismic.ida.collapse import CONFIDENCE
-from activefail.seismic.ida.collapse import Fragility as LognormalFit
 from activefail.space.shares import bounds_percent, percent, significant
 from activefail.text.files import make_folder, replacing, target_of
 from activefail.text.json_text import json_text

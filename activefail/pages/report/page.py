@@ -16,8 +16,8 @@ from activefail.analyses.findings.results import Findings, at_the_boundary, info
 from activefail.analyses.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
+from activefail.campaign.hazard import has_hazards
 from activefail.campaign.provenance import provenance
-from activefail.campaign.question import has_pulse
 from activefail.estimates.scores import error_in_words
 from activefail.learning.model.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.learning.model.system import ByMargins
@@ -281,7 +281,7 @@ def _next_step(
         return f"activefail verify {folder}", _verifies(campaign)
     if "curve" in evidence.missing:
         return f"activefail compare {folder}", "compares the campaign with static designs"
-    if has_pulse(campaign.space) and not has_risk:
+    if has_hazards(campaign.space) and not has_risk:
         command = f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml"
         return command, "adds the fragility of a design at a site"
     return f"activefail predict {folder} --csv designs.csv --out predictions.csv", "predicts other designs"
@@ -332,7 +332,7 @@ def render(
         "lost": where_lost(campaign.space.names, findings.X, ~findings.answered, settings.without_order),
         "failure": failure_section(findings, failure),
         "risk": fragility_section(risk),
-        "has_pulse": has_pulse(campaign.space),
+        "has_pulse": has_hazards(campaign.space),
         "curve": _curve(findings, evidence.curve),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),

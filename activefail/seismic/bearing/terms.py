@@ -1,7 +1,7 @@
 """A bearing in the designer's terms: effective radius, period, and where and at which force the rims touch."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple, Self
 
 from activefail.seismic.bearing.design import GRAVITY, Model
@@ -63,8 +63,13 @@ class Terms(NamedTuple):
             model.rim != "none",
         )
 
-    def lines(self, friction: str = "") -> list[tuple[str, str]]:
-        """Titles and texts, with words for the friction behind the forces."""
+    def lines(self, upper: Collection[str] | None = None) -> list[tuple[str, str]]:
+        """Titles and texts.
+
+        Args:
+            upper: the variables that are at their upper bounds, to say so of the friction behind the forces.
+        """
+        friction = "" if upper is None else f", {_of_friction(upper)}"
         reached = "touched by the slider" if self.has_rims else "none; the slider is at the edges of its dishes"
         return [
             (
@@ -95,3 +100,25 @@ class Terms(NamedTuple):
             "rim_force_over_weight": self.rim_force,
             "nominal_force_over_weight": self.nominal_force,
         }
+
+
+def _of_friction(upper: Collection[str]) -> str:
+    if "mu" in upper:
+        return "at the upper bound of friction"
+    return "at the given friction (the hazard has no upper bound)"
+
+
+def lateral_force(known: Mapping[str, float], upper: Collection[str]) -> tuple[float, str, str] | None:
+    """Lateral force at the displacement capacity over the weight: μ + D_tot (2π/T_b)²/g.
+
+    It is the force of two equal dishes before a rim is touched. It also has a title and a text.
+
+    Args:
+        known: quantities of a design; None follows if one is missing.
+        upper: those that are at their upper bounds.
+    """
+    if not {"T_b", "mu", "D_tot"} <= known.keys():
+        return None
+    force = known["mu"] + known["D_tot"] * (2.0 * math.pi / known["T_b"]) ** 2 / GRAVITY
+    text = f"lateral force at D_tot over weight: {force:.3g}, {_of_friction(upper)} (formula, no interval)"
+    return force, "force", text

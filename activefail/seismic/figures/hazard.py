@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.question import AMPLITUDE, PERIOD
 from activefail.pages.figures.axes import panel, plain_log
 from activefail.pages.figures.risk import SIZE, STEPS
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, save_png_and_svg, styled
@@ -17,6 +16,7 @@ from activefail.seismic.hazard.deaggregation import Deaggregation
 from activefail.seismic.hazard.hazard import Hazard
 from activefail.seismic.hazard.pulse_table import velocities
 from activefail.seismic.hazard.summary import HazardSummary
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD
 from activefail.seismic.quantities import QUANTITIES
 from activefail.space.space import Array, DesignSpace
 from activefail.text.quantities import plain, quantity
@@ -129,14 +129,10 @@ def _curve(axes: Axes, summary: HazardSummary) -> None:
 
 
 @styled()
-def plot_pulses(deaggregation: Deaggregation, outcome: str) -> Figure:
-    """The pulses that cause an outcome under a hazard: shares in bins of T_p and PGV.
-
-    Args:
-        deaggregation: of an outcome that is not too rare.
-        outcome: its name.
-    """
-    assert deaggregation.failures is not None
+def plot_pulses(deaggregation: Deaggregation, outcome: str) -> Figure | None:
+    """The pulses that cause an outcome under a hazard: shares in bins of T_p and PGV; None if it is too rare."""
+    if deaggregation.failures is None:
+        return None
     figure, axes = panel(*SIZE)
     shares = 100.0 * deaggregation.failures.share.T
     mesh = axes.pcolormesh(deaggregation.period, deaggregation.velocity, shares, cmap="Greys", vmin=0.0)

@@ -5,10 +5,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import ndtr
 
+from activefail.analyses.fragility.capacities import Fragility
 from activefail.pages.figures.axes import legend_outside, panel
 from activefail.pages.figures.risk import SIZE
 from activefail.pages.figures.style import BLACK, BLUE, GREY, VERMILION, styled
-from activefail.seismic.ida.collapse import Fragility
 from activefail.seismic.ida.findings import IdaFindings
 from activefail.text.quantities import Quantity, custom_quantity, plain
 

@@ -3,15 +3,16 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
-from activefail.campaign.question import PERIOD, PGV, Question
-from activefail.estimates.integral import Boundaries
+from activefail.campaign.question import Question
 from activefail.learning.criteria.population import integration_points
-from activefail.seismic.hazard.hazard import Hazard, deviates
+from activefail.seismic.hazard.strata import deviates
+from activefail.seismic.hazard.velocity import PERIOD, PGV
+from activefail.space.shares import percent
 from activefail.space.space import Array
 from activefail.space.weighted import WeightedRows, weighted_quantiles
 
@@ -62,6 +63,16 @@ class Deaggregation:
     pulses: Share
     failures: Share | None
 
+    figure: ClassVar[str] = "pulses"
+    header: ClassVar[tuple[str, ...]] = (
+        "T_p_from",
+        "T_p_to",
+        "PGV_from",
+        "PGV_to",
+        "share_of_failures",
+        "share_of_pulses",
+    )
+
     @property
     def numbers(self) -> dict[str, Any]:
         """What `--json` shows of it."""
@@ -80,20 +91,44 @@ class Deaggregation:
             "PGV_of_pulses_m_s": pulses.velocity,
         }
 
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Titles and texts; a continued title is empty."""
+        whole = f"{percent(self.probability)} under the whole hazard"
+        if self.failures is None:
+            return [("pulses", f"{whole}: failure is too rare to be attributed to pulses")]
+        rows = [("pulses", whole)]
+        for title, (_, T, v) in (("of the failures", self.failures), ("of all pulses", self.pulses)):
+            text = (
+                f"{title}: T_p {T.p50:.3g} s ({T.p5:.3g} to {T.p95:.3g}), PGV {v.p50:.3g} m/s ({v.p5:.3g} to "
+                f"{v.p95:.3g}); medians and 90 % ranges"
+            )
+            rows.append(("", text))
+        return rows
+
+    @property
+    def table(self) -> list[list[Any]]:
+        """The bins: their edges, and their shares of the failures, empty if these are too rare, and of the pulses."""
+        rows = []
+        for row, column in np.ndindex(self.pulses.share.shape):
+            edges = [*self.period[row : row + 2].tolist(), *self.velocity[column : column + 2].tolist()]
+            of_failures = float(self.failures.share[row, column]) if self.failures else ""
+            rows.append([*edges, of_failures, float(self.pulses.share[row, column])])
+        return rows
+
 
 def deaggregated(
-    boundaries: Boundaries, question_of: Callable[[Hazard], Question], hazard: Hazard, probability: Array
+    boundaries: Callable[[Array], Array], question: Question, added: float, bias: float, probability: Array
 ) -> list[Deaggregation]:
     """The failures beyond each boundary by the pulses of a hazard.
 
     Args:
         boundaries: of the campaign's designs.
-        question_of: the question that a hazard asks.
-        hazard: the hazard.
+        question: of the pulses alone.
+        added, bias: dispersion that is added to ln PGV, and the mean that is subtracted.
         probability: (boundaries,) under the whole hazard.
     """
-    question = question_of(hazard.without_uncertainty())
-    names, added = question.space.names, hazard.added_dispersion
+    names = question.space.names
     distribution, n = question.space, _WITH_UNCERTAINTY if added else _POINTS
     X, weight = integration_points(
         distribution.thinned(n) if isinstance(distribution, WeightedRows) else distribution, n
@@ -103,7 +138,7 @@ def deaggregated(
     z = deviates(len(X), values) if added else np.zeros((len(X), 1))
     # What is added divides the capacity, or multiplies the velocity.
     felt = np.repeat(X, z.shape[1], axis=0)
-    felt[:, names.index(PGV)] *= np.exp(added * z.ravel() - hazard.bias)
+    felt[:, names.index(PGV)] *= np.exp(added * z.ravel() - bias)
     beyond = ndtr(boundaries(question.designs(felt)))
     parts = weight[:, None] * beyond.reshape(*z.shape, -1).mean(axis=1)
     return [_of_boundary(period, velocity, weight, *of) for of in zip(parts.T, probability.tolist(), strict=True)]

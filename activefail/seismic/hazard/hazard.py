@@ -1,45 +1,39 @@
 """The hazard of a site: the distribution of the pulses that a bearing must survive, from a file."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.question import (
-    AMPLITUDE,
-    PERIOD,
-    PGV,
-    Question,
-    asked_of,
-    check_names,
-    check_no_choices,
-    check_pulse,
-)
+from activefail.campaign.derived import check_no_choices
+from activefail.campaign.hazard import At, Bound
+from activefail.campaign.question import Question, asked_of, check_names
 from activefail.campaign.settings import checked, read_toml
 from activefail.errors import InputError, naming
-from activefail.seismic.bearing.pulse import VELOCITY_PERIOD
+from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of
+from activefail.seismic.hazard.intensities import levels_of, with_amplitude
 from activefail.seismic.hazard.pulse_table import read_pulses, velocities
 from activefail.seismic.hazard.sections import HazardSettings, MagnitudeSection
+from activefail.seismic.hazard.strata import deviates
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD, PGV, VELOCITY
 from activefail.space.parameter import Parameter
 from activefail.space.space import REACH, Array, DesignSpace, correlation_of_values, radius
 from activefail.space.weighted import BLOCKS, WeightedRows, weighted_quantiles
 
+if TYPE_CHECKING:
+    from activefail.seismic.hazard.deaggregation import Deaggregation
+
 FRICTION, CAPACITY = "mu", "D_tot"
 """Variables of a bearing that have property bounds."""
-
-Bound = Literal["lower", "upper", "nominal"]
 
 _BOUNDS: tuple[Bound, ...] = ("lower", "upper")
 
 _PULSES = 2048
 """Least number of pulses that stand for rows with added uncertainty."""
-
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples fill the unit interval evenly, modulo 1."""
 
 _LEAST = 0.001
 """Least dispersion of the peak ground velocity that is not taken as none."""
@@ -69,6 +63,53 @@ class Hazard:
     with_uncertainty: bool = True
     bound: Bound = "lower"
 
+    variables: ClassVar[tuple[str, ...]] = (PERIOD, AMPLITUDE)
+    intensity: ClassVar[str] = PGV
+
+    @classmethod
+    def is_of(cls, values: Mapping[str, Any]) -> bool:
+        """Whether values are those of a hazard file, by their keys, and not of a question file."""
+        known = HazardSettings.model_fields.keys() - {"description"}
+        return "space" not in values and not values.keys().isdisjoint(known)
+
+    @classmethod
+    def of(cls, values: dict[str, Any], path: Path) -> "Hazard":
+        """The hazard with these values of a file."""
+        settings = checked(HazardSettings, values, str(path))
+        title = settings.description or f"the hazard {path.name}"
+        if settings.samples is not None:
+            with naming(f"{path}: "):
+                rows = read_pulses(path.parent, settings.samples)
+            log_periods = np.log(rows.column(PERIOD))
+            middle = float(np.average(log_periods, weights=rows.weight))
+            spread = math.sqrt(float(np.average((log_periods - middle) ** 2, weights=rows.weight)))
+            return cls(title, settings, math.exp(middle), spread, rows)
+        period = settings.period
+        assert period is not None
+        if isinstance(period, MagnitudeSection):
+            return cls(title, settings, period.median_s / VELOCITY_PERIOD, period.period_dispersion)
+        divisor = VELOCITY_PERIOD if period.definition == "velocity" else 1.0
+        return cls(title, settings, period.median_s / divisor, period.dispersion)
+
+    @classmethod
+    def applies_to(cls, space: DesignSpace) -> bool:
+        """Whether a campaign's variables contain a pulse."""
+        try:
+            VELOCITY.check(space, "")
+        except InputError:
+            return False
+        return True
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the pulses are rows."""
+        return self.rows is not None
+
+    @property
+    def alone(self) -> "Hazard | None":
+        """The hazard of the pulses alone; None if nothing is added to them."""
+        return self.without_uncertainty() if self.added_dispersion > 0.0 or self.bias != 0.0 else None
+
     def without_uncertainty(self) -> "Hazard":
         """The hazard of the pulses alone."""
         return replace(self, with_uncertainty=False)
@@ -76,6 +117,17 @@ class Hazard:
     def at_bound(self, bound: Bound) -> "Hazard":
         """The hazard with another bound of the bearing's properties."""
         return replace(self, bound=bound)
+
+    @property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The property bounds that the file gives."""
+        return ("lower", "nominal", "upper") if self.settings.properties else ("nominal",)
+
+    @property
+    def rates(self) -> tuple[Array, Array] | None:
+        """Peak ground velocities [m/s] and the annual rates at which they are exceeded; None without a curve."""
+        curve = self.settings.curve
+        return None if curve is None else (np.array(curve.pgv_m_s), np.array(curve.annual_rate))
 
     @property
     def bias(self) -> float:
@@ -199,6 +251,90 @@ class Hazard:
             sentences.append("The hazard has no curve of annual rates, so there is no risk in 50 years.")
         return sentences
 
+    def assumptions_at(self, name: str) -> list[str]:
+        """What the question at each level of an intensity assumes, as sentences."""
+        if name == AMPLITUDE:
+            return ["At each amplitude the pulse periods have the same distribution, because the pulses are scaled."]
+        if self.rows is not None:
+            return ["At each PGV the periods have the distribution of all the hazard's pulses."]
+        return []
+
+    def levels(self, intensity: str) -> tuple[str, str, Array]:
+        """Name, unit and levels of an intensity, "pgv" or "a_p"; those of "pgv" include the hazard's curve."""
+        curve = self.settings.curve
+        return levels_of(intensity, [self.median_velocity, *(curve.pgv_m_s if curve else ())])
+
+    def median(self, name: str) -> float:
+        """Median of the peak ground velocities PGV [m/s] or amplitudes A_p [g]."""
+        if name == PGV:
+            return self.median_velocity
+        rows = self.rows
+        if rows is None:
+            return float(amplitude_of(np.array(self.median_velocity), np.array(self.median_period)))
+        known = AMPLITUDE in rows.names
+        values = rows.column(AMPLITUDE) if known else amplitude_of(rows.column(PGV), rows.column(PERIOD))
+        return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
+
+    def question(self, space: DesignSpace, fixed: Mapping[str, float], at: At | None = None) -> Question:
+        """The question that the hazard asks of a campaign, given an intensity of its pulses if there is one.
+
+        Given the peak ground velocity, the period has its conditional distribution. Given the amplitude, it keeps its
+        distribution: the same pulses are scaled.
+
+        Raises:
+            InputError: as `check_applies` does, or if the pulses are rows and another variable has no value.
+        """
+        if at is None:
+            return self._question(space, fixed, None)
+        name, level = at
+        if name == PGV:
+            return self._question(space, fixed, level)
+        scaled = self
+        if (pgv := self.settings.pgv) is not None:
+            alone = self.settings.model_copy(update={"pgv": pgv.model_copy(update={"correlation_with_period": 0.0})})
+            scaled = replace(self, settings=alone)
+        return with_amplitude(scaled._question(space, fixed, level))
+
+    def _question(self, space: DesignSpace, fixed: Mapping[str, float], pgv: float | None) -> Question:
+        check_applies(self, space, fixed)
+        pulses, certain = self.pulses(pgv)
+        factors = self.factors
+        if isinstance(pulses, WeightedRows):
+            open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
+            if open_ones:
+                raise InputError(
+                    f"{open_ones[0]}: requires a value, because the hazard is a table of pulses. Give it with --fixed."
+                )
+            values = {**fixed, **certain}
+            return Question(self.title, space.names, pulses, values, factors, stated=tuple(self.assumptions))
+        changed = {parameter.name: parameter for parameter in pulses.parameters}
+        correlation = [pair for pair in space.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
+        question = asked_of(self.title, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
+        return replace(question, factors=factors, stated=(*self.assumptions, *question.stated))
+
+    def of_rates(self) -> "Hazard":
+        """The pulses that occur as the curve says."""
+        from activefail.analyses.fragility.curve import Rate
+        from activefail.seismic.hazard.risk_target import pulses_of_curve
+
+        assert self.rates is not None
+        rate = Rate(*self.rates)
+        title = f"pulses of at least {rate.velocity:g} m/s by the curve of {self.title}"
+        return replace(self, title=title, rows=pulses_of_curve(rate, self.rows, self.period_given))
+
+    def deaggregated(
+        self,
+        boundaries: Callable[[Array], Array],
+        space: DesignSpace,
+        fixed: Mapping[str, float],
+        probability: Array,
+    ) -> "list[Deaggregation]":
+        """The failures beyond each boundary by the pulses (see `deaggregation.deaggregated`)."""
+        from activefail.seismic.hazard.deaggregation import deaggregated
+
+        question = self.without_uncertainty().question(space, fixed)
+        return deaggregated(boundaries, question, self.added_dispersion, self.bias, probability)
+
 
 _IN_WORDS = {FRICTION: "friction", CAPACITY: "displacement capacity"}
 
@@ -218,53 +354,14 @@ def _spread(sizes: Array, periods: Array) -> tuple[NDArray[np.int_], Array]:
     return np.repeat(order, n)[by_block], z.ravel()[by_block]
 
 
-def deviates(rows: int, n: int) -> Array:
-    """Standard normal deviates, (rows, n): in each row one in each of n strata of equal probability.
-
-    Their places within the strata differ from row to row, so that all rows together have the tails as well.
-    """
-    from scipy.special import ndtri
-
-    shifts = (np.arange(rows) + 0.5) * _GOLDEN % 1.0
-    return np.asarray(ndtri((np.arange(n) + shifts[:, None]) / n))
-
-
 def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parameter:
     numbers = {"median": median, "dispersion": dispersion}
     return Parameter.of_distribution(name, "lognormal", numbers, unit=unit, distance=radius(REACH, 2))
 
 
-def is_of_hazard(values: Mapping[str, Any]) -> bool:
-    """Whether values are those of a hazard file, by their keys, and not of a question file."""
-    return "space" not in values and not values.keys().isdisjoint(HazardSettings.model_fields.keys() - {"description"})
-
-
 def read_hazard(path: Path) -> Hazard:
     """Read a hazard file."""
-    return hazard_of(read_toml(path), path)
-
-
-def hazard_of(values: dict[str, Any], path: Path) -> Hazard:
-    """The hazard with these values of a file.
-
-    Raises:
-        InputError: as `read_hazard` does.
-    """
-    settings = checked(HazardSettings, values, str(path))
-    title = settings.description or f"the hazard {path.name}"
-    if settings.samples is not None:
-        with naming(f"{path}: "):
-            rows = read_pulses(path.parent, settings.samples)
-        log_periods = np.log(rows.column(PERIOD))
-        middle = float(np.average(log_periods, weights=rows.weight))
-        spread = math.sqrt(float(np.average((log_periods - middle) ** 2, weights=rows.weight)))
-        return Hazard(title, settings, math.exp(middle), spread, rows)
-    period = settings.period
-    assert period is not None
-    if isinstance(period, MagnitudeSection):
-        return Hazard(title, settings, period.median_s / VELOCITY_PERIOD, period.period_dispersion)
-    divisor = VELOCITY_PERIOD if period.definition == "velocity" else 1.0
-    return Hazard(title, settings, period.median_s / divisor, period.dispersion)
+    return Hazard.of(read_toml(path), path)
 
 
 def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]) -> None:
@@ -279,7 +376,7 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
         InputError: if the campaign has no pulse, `fixed` gives one, or a property bound refers to no variable or to
             one with choices.
     """
-    check_pulse(space, "hazard")
+    VELOCITY.check(space, "hazard")
     check_names(fixed, space)
     for name in (PERIOD, AMPLITUDE):
         if name in fixed:
@@ -295,34 +392,3 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
                 if name in space.carriers:
                     has = f"has {name} as a feature of the choices of {space.carriers[name]}"
                 raise InputError(f"properties.{name}_{bound}: cannot be applied, because the campaign {has}.")
-
-
-def hazard_question(
-    hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float], pgv: float | None = None
-) -> Question:
-    """The question that a hazard asks of a campaign.
-
-    Args:
-        hazard: the hazard.
-        space: of the campaign.
-        fixed: values of variables that are certain; others keep the campaign's distributions.
-        pgv: the peak ground velocity [m/s], if it is given.
-
-    Raises:
-        InputError: as `check_applies` does, or if the pulses are rows and another variable has no value.
-    """
-    check_applies(hazard, space, fixed)
-    pulses, certain = hazard.pulses(pgv)
-    factors = hazard.factors
-    if isinstance(pulses, WeightedRows):
-        open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
-        if open_ones:
-            raise InputError(
-                f"{open_ones[0]}: requires a value, because the hazard is a table of pulses. Give it with --fixed."
-            )
-        values = {**fixed, **certain}
-        return Question(hazard.title, space.names, pulses, values, factors, stated=tuple(hazard.assumptions))
-    changed = {parameter.name: parameter for parameter in pulses.parameters}
-    correlation = [pair for pair in space.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
-    question = asked_of(hazard.title, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
-    return replace(question, factors=factors, stated=(*hazard.assumptions, *question.stated))

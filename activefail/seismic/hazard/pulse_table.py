@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
 from activefail.errors import InputError, naming
 from activefail.seismic.bearing.pulse import velocity_of
 from activefail.seismic.hazard.sections import LARGEST_VELOCITY, LONGEST, SHORTEST
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD, PGV
 from activefail.space.parameter import LARGEST
 from activefail.space.space import Array
 from activefail.space.weighted import WeightedRows

@@ -1,21 +1,20 @@
-"""Converts a target risk in a number of years into a target probability given a pulse of the hazard's curve."""
+"""The pulses that occur as a hazard's curve of annual rates says, for targets that are risks in years."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable
 
 import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from activefail.analyses.design.design_task import LEAST_TARGET, Requirement
 from activefail.analyses.fragility.curve import Rate
-from activefail.campaign.question import PERIOD, PGV
-from activefail.errors import InputError
-from activefail.seismic.hazard.hazard import Hazard
 from activefail.seismic.hazard.pulse_table import velocities as velocities_of
+from activefail.seismic.hazard.velocity import PERIOD, PGV
 from activefail.space.space import Array
 from activefail.space.weighted import BLOCKS, WeightedRows, weighted_quantiles
+
+PeriodGiven = Callable[[float], tuple[float, float]]
+"""Median [s] and dispersion of the period, given a peak ground velocity [m/s]."""
 
 _ROWS = 256
 """Pulses of each block; a power of two."""
@@ -30,45 +29,26 @@ _REMAINING, _FARTHEST = 1e-4, 4.0
 """Share of the rate and factor of the velocity at which the extrapolated curve ends; what remains occurs there."""
 
 
-def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple[Hazard, tuple[Requirement, ...], Rate]:
-    """The pulses of the hazard's curve, targets given one of them, and how often they occur.
-
-    Args:
-        hazard: of the site; None without one.
-        requirements: targets in a number of years.
-
-    Raises:
-        InputError: if there is no hazard or no curve, targets are of different kinds, or one is too small or large.
-    """
-    years = requirements[0].years
-    if any(one.years != years for one in requirements) or years is None:
-        raise InputError("target: all targets must be risks in the same number of years, or none.")
-    if hazard is None or hazard.settings.curve is None:
-        raise InputError("target: a risk in years requires a hazard with a [curve] of annual rates.")
-    curve = hazard.settings.curve
-    rate = Rate(np.array(curve.pgv_m_s), np.array(curve.annual_rate), years)
-    of_pulse = []
-    for one in requirements:
-        target = rate.given_pulse(one.target)
-        if not LEAST_TARGET <= target <= 0.9:
-            side = "larger" if target < LEAST_TARGET else "smaller"
-            raise InputError(
-                f"target: {100.0 * one.target:g} % in {years:g} years is a probability of {100.0 * target:.3g} % given "
-                f"a pulse of at least {rate.velocity:g} m/s, where [curve] begins. This probability must be between "
-                f"{100.0 * LEAST_TARGET:g} and 90 %. Begin the curve at a {side} velocity."
-            )
-        of_pulse.append(one._replace(target=target))
-    title = f"pulses of at least {rate.velocity:g} m/s by the curve of {hazard.title}"
-    return replace(hazard, title=title, rows=pulses_of_curve(hazard, rate)), tuple(of_pulse), rate
-
-
-def pulses_of_curve(hazard: Hazard, rate: Rate) -> WeightedRows:
+def pulses_of_curve(rate: Rate, rows: WeightedRows | None, period_given: PeriodGiven) -> WeightedRows:
     """Pulses that occur as a hazard's curve says: T_p and PGV, in blocks each of which is a sample.
 
     Velocities are even in the mean of their logarithms' and their rates' shares, so that neither rare strong pulses nor
     a steep part of the curve rest on a few rows; their weights are the rates. The curve is linear in logarithms and
     extrapolated at its upper end. Periods have their distribution given the velocity.
+
+    Args:
+        rate: the curve.
+        rows: the hazard's table of pulses, if it is one; it gives the periods.
+        period_given: median and dispersion of the period given a velocity, without a table.
     """
+
+    def periods(speed: Array, shares: Array) -> Array:
+        """Periods [s] at quantiles of their distribution given each velocity, (n,)."""
+        if rows is not None:
+            return _periods_near(rows, speed, shares)
+        medians, dispersions = np.transpose([period_given(one) for one in speed.tolist()])
+        return np.asarray(medians * np.exp(dispersions * ndtri(shares)))
+
     velocities, rates = rate.velocities, rate.rates
     slope = np.log(rates[-1] / rates[-2]) / np.log(velocities[-1] / velocities[-2])
     farther = np.clip(np.log(_REMAINING * rates[0] / rates[-1]) / slope, 0.0, math.log(_FARTHEST))
@@ -86,21 +66,13 @@ def pulses_of_curve(hazard: Hazard, rate: Rate) -> WeightedRows:
         # A scrambled Sobol' sequence has one point in each of the cells.
         cell = np.minimum((_ROWS * U[:, 0]).astype(np.int_), _ROWS - 1)
         speed = np.exp(np.interp(U[:, 0], shares, sizes))
-        blocks.append(np.column_stack([_periods(hazard, speed, U[:, 1]), speed]))
+        blocks.append(np.column_stack([periods(speed, U[:, 1]), speed]))
         weights.append(mass[cell])
     return WeightedRows((PERIOD, PGV), np.concatenate(blocks), np.concatenate(weights), is_sample=True)
 
 
-def _periods(hazard: Hazard, velocities: Array, shares: Array) -> Array:
-    """Periods [s] at quantiles of their distribution given each velocity, (n,)."""
-    if hazard.rows is not None:
-        return _periods_near(hazard.rows, velocities, shares)
-    medians, dispersions = np.transpose([hazard.period_given(velocity) for velocity in velocities.tolist()])
-    return np.asarray(medians * np.exp(dispersions * ndtri(shares)))
-
-
 def _periods_near(rows: WeightedRows, velocities: Array, shares: Array) -> Array:
-    """The same for a table of pulses: of the tenth of its weight whose velocities are nearest in rank."""
+    """Periods at quantiles for a table of pulses: of the tenth of its weight whose velocities are nearest in rank."""
     size = velocities_of(rows)
     order = np.argsort(size, kind="stable")
     size, period, weight = size[order], rows.column(PERIOD)[order], rows.weight[order]

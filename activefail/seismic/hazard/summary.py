@@ -10,11 +10,12 @@ import numpy as np
 from activefail.analyses.design.design_task import RISK_CATEGORIES
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.fragility.curve import Rate
-from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Outside, Question
+from activefail.campaign.question import Outside, Question
 from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of
 from activefail.seismic.hazard.hazard import Hazard, check_applies
 from activefail.seismic.hazard.pulse_table import velocities
 from activefail.seismic.hazard.sections import RELATIONS, MagnitudeSection
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD, PGV
 from activefail.space.shares import percent
 from activefail.space.space import Array, DesignSpace
 from activefail.space.weighted import WeightedRows, weighted_quantiles

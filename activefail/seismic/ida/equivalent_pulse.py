@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import minimize_scalar
 from scipy.signal import correlate
 
+from activefail.analyses.fragility.capacities import jackknife
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError
 from activefail.seismic.bearing.accelerogram import Accelerogram
@@ -18,7 +19,6 @@ from activefail.seismic.bearing.outcome import OUTCOMES
 from activefail.seismic.bearing.pulse import HALF_DURATION, ground_acceleration, ground_velocity
 from activefail.seismic.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.seismic.ida.capacity import Agreement, Capacities
-from activefail.seismic.ida.collapse import jackknife
 from activefail.seismic.ida.simulations import BearingSubject
 from activefail.space.space import Array
 
@@ -207,7 +207,7 @@ def check_campaign(campaign: Campaign, values: Mapping[str, float], model: Model
             f"--campaign: must be a campaign under pulses, with the variables {', '.join(TABLE_1.names)} and the "
             f"outcomes {', '.join(OUTCOMES)}; got {', '.join(known)} and {', '.join(outcomes)}."
         )
-    if campaign.settings.bearing.model() != model:
+    if campaign.settings.named["dfp"].model() != model:
         raise InputError(
             "--campaign: its [bearing] settings differ from this command's options. Give this command the same values."
         )

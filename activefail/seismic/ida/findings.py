@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from activefail.analyses.findings.lines import titled
+from activefail.analyses.fragility.capacities import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.seismic.bearing.terms import Terms
 from activefail.seismic.ida.capacity import LOWEST, Capacities
-from activefail.seismic.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.seismic.ida.equivalent_pulse import Prediction, PulseComparison
 from activefail.seismic.ida.p695 import MarginOptions
 from activefail.seismic.ida.simulations import BearingSubject, CampaignSubject

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from activefail.analyses.fragility.capacities import CONFIDENCE
 from activefail.campaign.assembly import Campaign
 from activefail.pages.figures.svg import inline
 from activefail.pages.report.analyses import cards_of_fit, write_folder
 from activefail.pages.report.environment import REPORT, page_environment
 from activefail.seismic.figures.ida import plot_ida
-from activefail.seismic.ida.collapse import CONFIDENCE
 from activefail.seismic.ida.findings import IdaFindings
 from activefail.space.shares import significant
 from activefail.text.csv_table import writing

@@ -1,4 +1,4 @@
-"""The fragility that follows from the capacities under records: a lognormal fit and its interval over events."""
+"""The fragility that follows from capacities, such as those under records: a lognormal fit and its interval."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.design.required_chart import least_value
 from activefail.analyses.design.search import find_design
 from activefail.campaign.inquiry import Inquiry
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.estimates.integral import Boundaries, Standardised, boundary_of, existence
 from activefail.estimates.probability_estimator import Estimator
@@ -25,13 +25,15 @@ from activefail.execution.local import local_executor
 from activefail.pages.explorer.campaign import OneDesign
 from activefail.pages.explorer.fields import Field, Values, chosen
 from activefail.pages.explorer.jobs import Job, Jobs
-from activefail.pages.explorer.pages import Panel, page
+from activefail.pages.explorer.pages import Panel
+from activefail.pages.explorer.pages import page as page_of
 from activefail.pages.figures.axes import outcome_colour
 from activefail.pages.figures.curves import plot_required_value
 from activefail.pages.figures.svg import inline
 from activefail.record.memory import MemoryStore
-from activefail.seismic.hazard.hazard import CAPACITY, FRICTION, Hazard, hazard_of, hazard_question
-from activefail.seismic.simulator import terms_of
+from activefail.seismic.hazard.hazard import CAPACITY, FRICTION, Hazard
+from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD
+from activefail.simulators.interface import terms_of
 from activefail.space.parameter import Parameter
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
@@ -191,7 +193,7 @@ class DesignPage:
     def page(self, **links: Any) -> str:
         """The page, with its links to others."""
         targets = [(f"{100.0 * p:g} % (risk category {name})", 100.0 * p) for name, p in RISK_CATEGORIES.items()]
-        return page(
+        return _page(
             "design",
             title=self._one.title,
             simulations=len(self._findings.X),
@@ -245,7 +247,7 @@ class DesignPage:
             plain(beyond),
             outcome_colour(self._one.outcomes, self.campaign.severity),
         )
-        return page(
+        return _page(
             "required",
             required=value if is_met else None,
             probability=probability,
@@ -266,7 +268,7 @@ class DesignPage:
     def _curve_of(self, site: Numbers, bearing: Numbers) -> _Curve:
         boundary = boundary_of(self._findings.classifier, self.campaign.features, self._findings.boundary)
         hazard = _hazard(dict(site))
-        question = hazard_question(hazard, self.space, dict(bearing))
+        question = hazard.question(self.space, dict(bearing))
         # The capacity stays within its range.
         outside = question.at({CAPACITY: self._capacity.high}).share_outside(self.space)
         return _Curve(boundary, hazard, question, outside, self._capacity)
@@ -300,7 +302,7 @@ class DesignPage:
             case "stop" if job is not None:
                 job.must_stop = True
         job = self._jobs.last
-        return page(
+        return _page(
             "verify",
             steps=2 * LOOKS,
             job=job if job is not None and job.asked[0] == folder else None,
@@ -344,6 +346,9 @@ class DesignPage:
         }
 
 
+_page = partial(page_of, package=__package__)
+
+
 def _read(fields: Sequence[Field], values: Values) -> Numbers:
     return tuple((one.name, one.read(values)) for one in fields)
 
@@ -361,4 +366,4 @@ def _hazard(site: Mapping[str, float]) -> Hazard:
         values["pulse_period"] = {"median_s": site["median_period"], "definition": "acceleration"} | dispersion
     if _FRICTION_BOUND.name in site:
         values["properties"] = {_FRICTION_BOUND.name: site[_FRICTION_BOUND.name]}
-    return hazard_of(values, Path("site"))
+    return Hazard.of(values, Path("site"))
