@@ -21,10 +21,10 @@ import numpy as np
 from scipy.linalg import null_space
 from study import asked, head, line, percent
 
-from activefail.pages.figures.outcome_planes import EXPONENTS, LOGARITHMIC
 from activefail.seismic.bearing import TABLE_1, simulate
 from activefail.seismic.bearing.outcome import FAILURE, NO_IMPACT
 from activefail.seismic.features import paper_features
+from activefail.seismic.figures.feature_planes import EXPONENTS, LOGARITHMIC
 
 COLUMNS = list(LOGARITHMIC)
 

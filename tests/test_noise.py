@@ -1,6 +1,7 @@
 """Simulators that do not repeat: detection, replicates, the noise in the model, and what judges it."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -166,8 +167,12 @@ def test_a_noise_that_is_not_normal_is_told_beside_every_number_of_the_classifie
         *choices_in_words(campaign, history, classifier),
         " ".join(found.assumptions),
         " ".join(design.as_json()["assumptions"]),
-        known_in_words(campaign, history, classifier, None),
-        known_in_words(campaign, history, without_torch, None),
+        *(
+            known_in_words(
+                SimpleNamespace(campaign=campaign, history=history, _turn=nullcontext(), _predicts=(None, one))
+            )
+            for one in (classifier, without_torch)
+        ),
     ]
     assert ["its noise is not normal" in one for one in told] == [is_told] * 6
 

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from activefail.plugins import brought
 from activefail.space.expressions import Expression, check_no_texts, parse_expression
 from activefail.space.parameter import Parameter
 from activefail.space.space import Array, DesignSpace
+from activefail.text.quantities import Quantity
 
 _EQUAL = 1e-3
 """Standard deviation of the logarithm of an intensity below which all records count as equally intense."""
@@ -36,6 +37,7 @@ class FeatureMap:
         known: `scaling`, if it is known; it is computed at first use otherwise.
         harmless: which designs, (n, d) -> (n,), have the least severe outcome for certain, as the simulator's physics
             says; None if that is known of none.
+        quantities: symbols, units and meanings of features, by name; those of others are not known.
     """
 
     names: tuple[str, ...]
@@ -44,6 +46,7 @@ class FeatureMap:
     space: DesignSpace
     known: tuple[Array, Array] | None = None
     harmless: Callable[[Array], NDArray[np.bool_]] | None = None
+    quantities: Mapping[str, Quantity] = field(default_factory=dict)
 
     def certain(self, X: Array) -> NDArray[np.bool_]:
         """Which designs, (n, d), have the least severe outcome for certain, (n,)."""

@@ -398,10 +398,10 @@ class Run(Session):
         Raises:
             InputError: if the campaign has neither, or there is no simulation to learn from.
         """
-        from activefail.analyses.findings.quantities import plain
         from activefail.pages.figures.curves import draw_learning_curves
         from activefail.pages.figures.failure import draw_probability
         from activefail.pages.report.evidence import curve_of
+        from activefail.text.quantities import plain
 
         failure, outcomes = self.failure(), self.campaign.simulator.outcomes
         if failure is not None:

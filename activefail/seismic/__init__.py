@@ -51,3 +51,9 @@ NAMES = {
 
 PACKAGES = {"bearing": "activefail.seismic.bearing"}
 """What users' simulators import as `activefail.bearing`."""
+
+PLANES = {"paper": "activefail.seismic.figures.feature_planes:coordinates"}
+
+VIEWS = {"dfp": "activefail.seismic.views.bearing:BearingView"}
+
+FIGURES = {"pulses": "activefail.seismic.figures.hazard:plot_pulses"}

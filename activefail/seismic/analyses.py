@@ -80,7 +80,7 @@ _HIGHEST = ", ".join(f"{of.highest:g} ({kind})" for kind, of in INTENSITIES.item
     counts="simulating",
     pages="Folder for the page ida.html, ida.json, ida.csv, ida.png, ida.svg, and the simulations: the same command "
     "continues.",
-    writer="activefail.pages.report.analyses:write_ida",
+    writer="activefail.seismic.ida.page:write_ida",
 )
 def ida(
     bearing: "Values" = option(

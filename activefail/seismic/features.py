@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from activefail.seismic.bearing.collision import COLLISION_FEATURES, collision_f
 from activefail.seismic.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.seismic.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.seismic.bearing.sliding import SLIDING_FEATURES, sliding_features
+from activefail.seismic.quantities import QUANTITIES
 from activefail.space.parameter import Payload
 from activefail.space.space import Array, DesignSpace
 
@@ -70,12 +72,13 @@ def of_paper(space: DesignSpace, _model: Model | None) -> FeatureMap:
     _check_bearing("paper", space)
     if min(space.range_of(name)[0] for name in TABLE_1.names) <= 0.0:
         raise InputError("The paper's features require positive variables, but a lower bound is not positive.")
-    return scaled(
-        PAPER_FEATURES,
-        lambda X: paper_features(space.table(X, TABLE_1.names)),
-        space,
-        PAPER_LOGARITHMIC,
+    return _described(
+        scaled(PAPER_FEATURES, lambda X: paper_features(space.table(X, TABLE_1.names)), space, PAPER_LOGARITHMIC)
     )
+
+
+def _described(features: FeatureMap) -> FeatureMap:
+    return replace(features, quantities=QUANTITIES)
 
 
 def of_sliding(space: DesignSpace, model: Model | None) -> FeatureMap:
@@ -107,7 +110,7 @@ def of_collision(space: DesignSpace, model: Model | None) -> FeatureMap:
 
 def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:
     """The variables and features of the physics, a function of designs in Table 1's order and units."""
-    return joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space)
+    return _described(joined(names, lambda X: _on_all_cores(physics, space.table(X, TABLE_1.names)), space))
 
 
 def _under_records(space: DesignSpace, payload: Payload, column: int, model: Model | None) -> FeatureMap:
@@ -125,4 +128,5 @@ def _under_records(space: DesignSpace, payload: Payload, column: int, model: Mod
         physics = record_features(space.table(rows, of_bearing), motions, which, factors, model)
         return np.column_stack([variable_columns(others, np.delete(X, column, axis=1)), physics[place]])
 
-    return scaled((*feature_map("design", others, check=False).names, *RECORD_FEATURES), raw, space, logarithms(others))
+    names = (*feature_map("design", others, check=False).names, *RECORD_FEATURES)
+    return _described(scaled(names, raw, space, logarithms(others)))

@@ -12,6 +12,7 @@ from activefail.seismic.bearing import outcome as o
 from activefail.seismic.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.seismic.bearing.simulation import Response, simulate, simulate_one
 from activefail.seismic.bearing.terms import Terms
+from activefail.seismic.quantities import VARIABLES
 from activefail.simulators.interface import Results
 from activefail.space.space import Array, DesignSpace
 
@@ -46,6 +47,8 @@ class DfpSimulator:
     releases_gil = True
     noun = "bearing"
     title = "the double friction pendulum bearing"
+    quantities = VARIABLES
+    view = "dfp"
 
     @property
     def causes(self) -> tuple[str, ...]:

@@ -115,7 +115,9 @@ class Simulator(Protocol):
     design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
     one of the designs can have no result at all, such as one with a negative friction. `harmless(X)` says which
     designs, (n, d) -> (n,), have the least severe outcome for certain. `title` names the simulator in words, `noun` is
-    what a design describes, such as "bearing", and `limits` are sentences on what the model leaves out.
+    what a design describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name
+    (`Quantity`), `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view
+    (`pages/view.py`).
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -160,6 +162,11 @@ class Simulator(Protocol):
 def limits_of(simulator: object) -> tuple[str, ...]:
     """What the model of a simulator leaves out, as sentences."""
     return getattr(simulator, "limits", ())
+
+
+def noun_of(simulator: object) -> str:
+    """What a design of a simulator describes."""
+    return getattr(simulator, "noun", "design")
 
 
 def design_in_words(simulator: Simulator, x: Array) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from activefail.space.space import Constraint
 
-CONSTANTS = {"pi": float(np.pi), "g": 9.80665}
+CONSTANTS = {"pi": float(np.pi), "g": 9.81}
 """Named constants; g is the acceleration of free fall [m/s²]."""
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {

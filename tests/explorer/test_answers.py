@@ -192,5 +192,5 @@ def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
     middle = dict(zip(one.space.names, one.presets[0][1], strict=True))
     assert one.predict(middle).count("data-probability") == 2
     assert "<svg" in one.fragility(middle | {"along": one.space.names[0]})
-    with pytest.raises(InputError, match="no bearing to show"):
+    with pytest.raises(InputError, match="no design to show"):
         one.simulate(middle)

@@ -3,10 +3,11 @@
 import numpy as np
 
 from activefail.analyses.design.required_chart import RequiredChart
-from activefail.analyses.findings.quantities import custom_quantity, quantity
 from activefail.pages.figures.risk import Mark, plot_required
+from activefail.seismic.quantities import VARIABLES
+from activefail.text.quantities import custom_quantity
 
-SHOWN = {name: quantity(name) for name in ("D_tot", "T_b", "mu")}
+SHOWN = {name: VARIABLES[name] for name in ("D_tot", "T_b", "mu")}
 
 
 def chart(targets: int = 3, name: str = "mu") -> RequiredChart:

@@ -17,7 +17,7 @@ from activefail.analyses.sensitivity.logistic import logistic_regression
 from activefail.cli import main
 from activefail.seismic.bearing import TABLE_1, Model, simulate
 from activefail.seismic.features import paper_features
-from activefail.seismic.figures.paper_planes import PLANES
+from activefail.seismic.figures.paper_planes import FIGURES
 from activefail.seismic.ida.sample_mean import Estimate
 from activefail.seismic.paper import published
 from activefail.seismic.paper import study as paper
@@ -272,7 +272,7 @@ def by_command(study, tmp_path_factory):
     shown = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(shown):
         patch.setattr(paper, "run_study", lambda *_: study)
-        patch.setattr("activefail.seismic.paper.reproduction.PLANES", PLANES[:1])
+        patch.setattr("activefail.seismic.paper.reproduction.FIGURES", FIGURES[:1])
         patch.setattr(sys, "argv", ["activefail", "paper", "--draws", "4", "--out", str(folder)])
         with pytest.raises(SystemExit) as ended:
             main()

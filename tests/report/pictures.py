@@ -7,8 +7,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from activefail.pages.report import page
+from activefail.seismic.views import bearing
 
-_SLOW = ("plot_pairs", "plot_outcome_planes", "plot_snapshots")
+_SLOW = ((page, "plot_pairs"), (page, "plot_outcome_planes"), (bearing, "plot_snapshots"))
 
 
 @contextmanager
@@ -17,6 +18,6 @@ def slow_pictures_empty() -> Iterator[None]:
     empty = Figure()
     empty.subplots()
     with pytest.MonkeyPatch.context() as patch:
-        for name in _SLOW:
-            patch.setattr(page, name, lambda *_, name=name: [empty] if name == "plot_outcome_planes" else empty)
+        for module, name in _SLOW:
+            patch.setattr(module, name, lambda *_, name=name: [empty] if name == "plot_outcome_planes" else empty)
         yield

@@ -35,8 +35,11 @@ from activefail.pages.report import environment, evidence, page
 from activefail.record.run_folder import FolderStore
 from activefail.seismic.bearing.design import TABLE_1
 from activefail.seismic.features import paper_features
+from activefail.seismic.figures import feature_planes
+from activefail.seismic.quantities import VARIABLES
 from activefail.space.parameter import Parameter
 from activefail.space.shares import significant
+from activefail.text.quantities import custom_quantity, plain, quantity
 
 SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),
@@ -370,7 +373,7 @@ def other(dimension: int) -> Campaign:
 def test_designs_with_given_features_have_them_and_lie_in_the_space():
     X = TABLE_1.latin_hypercube(200, np.random.default_rng(0))
     F = paper_features(X)
-    designs, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
+    designs, there = feature_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
     assert there.mean() > 0.97  # each has at least the design it came from; projections close in slowly at corners
     assert TABLE_1.contains(designs[there]).all()
     np.testing.assert_allclose(paper_features(designs[there]), F[there], rtol=0.05)
@@ -379,7 +382,7 @@ def test_designs_with_given_features_have_them_and_lie_in_the_space():
 def test_features_that_no_design_has_are_told_apart():
     F = np.tile(paper_features(0.5 * (TABLE_1.low + TABLE_1.high)[None]), (2, 1))
     F[1, 0] = 100.0  # beyond the largest pulse displacement over the smallest capacity
-    _, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
+    _, there = feature_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
     assert there.tolist() == [True, False]
 
 
@@ -402,7 +405,7 @@ def test_an_inlined_figure_keeps_its_marks_and_names_nothing_twice():
 def test_pairs_of_ten_thousand_designs_are_drawn_with_some_of_each_kind_and_stay_small():
     rng = np.random.default_rng(0)
     outcome, chosen = rng.integers(0, 3, 10_000).astype(np.int8), np.arange(10_000) >= 4_000
-    names = [quantities.quantity(f"x{i}") for i in range(6)]
+    names = [quantity(f"x{i}") for i in range(6)]
     figure = samples.plot_pairs(rng.random((10_000, 6)), outcome, chosen, names, [False] * 6, ("a", "b", "c"))
     shown = [sum(len(c.get_offsets()) for c in axes.collections) for axes in figure.axes]
     assert shown == [0 if row == column else samples.MOST_SHOWN for row in range(6) for column in range(6)]
@@ -435,7 +438,7 @@ def assert_text_is_inside(figure: Figure) -> None:
 @pytest.mark.parametrize("m", some(range(1, 7), 1, 2, 3, 6))
 def test_a_picture_of_pairs_has_room_for_long_names(m, outcomes):
     rng = np.random.default_rng(1)
-    names = [quantities.quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(m)]
+    names = [quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(m)]
     outcome = rng.integers(0, len(outcomes), 40).astype(np.int8)
     F = 1e5 * rng.random((40, m))
     assert_text_is_inside(samples.plot_pairs(F, outcome, np.arange(40) > 20, names, [False] * m, outcomes))
@@ -445,14 +448,14 @@ def test_a_picture_of_pairs_has_room_for_long_names(m, outcomes):
 @pytest.mark.parametrize("third", [-1, 2])
 def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
     rng = np.random.default_rng(1)
-    names = [quantities.quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(3)]
+    names = [quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(3)]
 
     def predicted(rows):
         P = np.full((len(rows), len(outcomes)), 1.0 / len(outcomes))
         P[:6] = np.nan
         return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0], beyond=P[:, -1])
 
-    plane = outcome_planes.Plane("plane", 0, 1, third, (12000.0, 15000.0, 18000.0), (0.0, 0.0, 0.0))
+    plane = outcome_planes.Plane(0, 1, third, (12000.0, 15000.0, 18000.0))
     F = 1e5 * rng.random((40, 3))
     c = outcome_planes.Coordinates(names, F, F.mean(axis=0), predicted, [plane], lambda *_: 1500.0)
     findings = SimpleNamespace(
@@ -471,7 +474,7 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
     [("A_p", "g", 0.1, 0.8), ("concrete_compressive_strength", "kN/m^2", 1e5, 9e5), ("k", "N/m^1.5", 1.7e9, 3.3e9)],
 )
 def test_a_curve_has_room_for_long_names_and_for_ticks_of_many_digits(name, unit, low, high, outcome):
-    x, along, event = np.linspace(low, high, 9), quantities.quantity(name, unit), quantities.plain(outcome)
+    x, along, event = np.linspace(low, high, 9), quantity(name, unit, VARIABLES), plain(outcome)
     p = np.linspace(0.0, 1.0, 9)
     for figure in (
         curves.plot_fragility(x, SimpleNamespace(beyond=p, low=0.9 * p, high=p), along, event, low, "black"),
@@ -497,9 +500,9 @@ def test_the_spread_of_a_variable_is_told_in_words():
 
 
 def test_powers_in_units_are_raised():
-    assert quantities.quantity("k", "N/m^1.5").axis == "$k$ [N/m¹·⁵]"
-    assert quantities.quantity("gust", "m/s^-2").axis == "gust [m/s⁻²]"
-    assert quantities.quantity("cost", "$^").axis == r"cost [\$^]"
+    assert quantity("k", "N/m^1.5", VARIABLES).axis == "$k$ [N/m¹·⁵]"
+    assert quantity("gust", "m/s^-2").axis == "gust [m/s⁻²]"
+    assert quantity("cost", "$^").axis == r"cost [\$^]"
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -573,7 +576,7 @@ def test_the_outcomes_colours_are_told_apart_by_every_eye(outcomes, vision):
     ],
 )
 def test_a_name_of_one_s_own_is_a_symbol_where_it_is_a_letter_and_has_no_meaning(name, symbol, text):
-    named = quantities.custom_quantity(name, "s")
+    named = custom_quantity(name, "s")
     assert (named.symbol, named.text, named.unit, named.meaning) == (symbol, text, "s", "")
 
 

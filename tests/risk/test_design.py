@@ -442,6 +442,26 @@ def test_a_target_is_out_of_reach_if_all_ends_of_the_range_exceed_it() -> None:
 
 
 @dataclass
+class Blind(MadeEstimator):
+    """Its classifier does not see that values between two are safe: 40 % fail at the smallest, more elsewhere."""
+
+    def standardised(self, outcome: str) -> Callable[[Array], Array]:
+        return lambda X: (np.log(X[:, 3]) + 0.1 * X[:, 0] + 0.05) / 0.4
+
+    def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+        plan = self.plan(outcome, simulations, question)
+        X = question.designs(plan.designs)
+        return Sampled(plan, np.log(X[:, 3]) > 0.8 - np.abs(X[:, 0] - 3.0), np.ones(len(X), dtype=bool))
+
+
+def test_no_target_is_out_of_reach_because_both_ends_of_the_range_exceed_it_if_the_classifier_is_wrong_there() -> None:
+    found = find_design(Blind(1.0, 0.1, 0), task_of(question_of(), 0.1, 1000))  # type: ignore[arg-type]
+    assert {0.5, 6.0} <= {look.candidate.values["capacity"] for look in found.looks}
+    assert all(look.above(np.array([0.1])).all() for look in found.looks)
+    assert found.status == "not verified"
+
+
+@dataclass
 class Dip(MadeEstimator):
     """Its classifier is right: failure is less probable around one value, between two of the grid of a line."""
 
@@ -537,6 +557,21 @@ def test_a_cost_with_a_minimum_inside_the_feasible_range_is_found() -> None:
 
     task = replace(task_on(0.0, 10.0, 0.1), cost=lambda values: (values["x"] - 4.6) ** 2)
     assert cheapest(task, model, np.array([0.1])).values["x"] == pytest.approx(4.6, abs=1e-3)
+
+
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_a_cost_with_its_minimum_between_two_values_of_the_grid_proposes_no_design_that_misses_the_aim(
+    step: float | None,
+) -> None:
+    def model(values: dict[str, float], points: int) -> Array:
+        return np.array([0.5 if abs(values["x"] - 4.6) < 0.2 else 0.01])  # the grid has 4.17 and 5
+
+    stepped = {} if step is None else {"x": Parameter("x", 0.0, 10.0, step=step)}
+    task = replace(task_on(0.0, 10.0, 0.1), cost=lambda values: (values["x"] - 4.6) ** 2, stepped=stepped)
+    found = cheapest(task, model, np.array([0.1]))
+    assert found.is_feasible
+    assert found.model == 0.01
+    assert abs(found.values["x"] - 4.6) < 0.5
 
 
 def test_of_several_ranges_that_meet_the_aim_the_smallest_design_is_taken_and_all_are_named() -> None:

@@ -346,7 +346,7 @@ def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
 ) -> None:  # fmt: skip
     interval = Interval(verified, low, None, 0.95, "the levels end")
     monkeypatch.setattr("activefail.analyses.fragility.findings.capacity_interval", lambda *_: interval)
-    shown = curves_shown(uncertain, {})
+    shown = curves_shown(uncertain, {}, {})
     level = uncertain.boundaries[-1].curve.capacity(0.5).level
     assert level is not None
     assert shown["cards"][0][1:] == (f"{significant(verified if verified and low else level)} m/s", card)
@@ -358,7 +358,7 @@ def test_a_corrected_median_is_shown_only_with_an_end_of_its_interval(
         "activefail.analyses.fragility.findings.capacity_interval",
         lambda curve, *_: whole if curve is of_failure else interval,
     )
-    assert not curves_shown(uncertain, {})["lacks_interval"]
+    assert not curves_shown(uncertain, {}, {})["lacks_interval"]
 
 
 @pytest.mark.usefixtures("without_pictures")

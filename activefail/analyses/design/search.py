@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logit
 
 from activefail.analyses.classifier_probability import classifier_probability
 from activefail.analyses.design.design_task import LOOKS, DesignTask, confidence_of_bound
@@ -53,6 +54,10 @@ _LEAST = 1e-12
 _HALVES, _OFF, _LEAST_AIM = 1.3, 0.025, 0.2
 """Distance of an aim from its target: half widths of the interval, which are wider where the classifier errs more than
 it expects, and a share of the target, for the classifier's own error; and least aim over its target."""
+
+_TRUSTED, _LARGEST = 0.5, 0.95
+"""Largest error of the classifier at a look, over its distance from the target at the nearest design, both in log odds,
+with which it is believed that no design meets the target; and largest probability that counts."""
 
 WORTH, _ROOM = 0.05, 0.02
 """Least share of the cost that a smaller design must promise to save for a further look; and share of the cost that all
@@ -343,7 +348,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
         if not candidate.is_feasible and look in refuted:
             shown = 1 + looks.index(min(refuted, key=lambda one: max(one.ratios(task.targets))))
             ends = [] if task.choices else _ends(task, [one.candidate.values for one in refuted])
-            if not (ends or task.choices):
+            if not (ends or task.choices) and _is_believed(task, model(nearest, task.points), looks):
                 status = "out of reach"
             # Where constraints leave out an end, what they do allow may still help.
             ends = [end for end in ends if _has_designs(task, end)]
@@ -354,6 +359,27 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Stage = silent) -
     if verified:
         return Designed(task, tuple(looks), min(verified)[1], "verified")
     return Designed(task, tuple(looks), shown, status)
+
+
+def _is_believed(task: DesignTask, nearest: Array, looks: Sequence[Look]) -> bool:
+    """Whether the classifier, by its errors at the looks, may be believed that no design meets the targets.
+
+    Ends of the ranges do not show what lies between them.
+
+    Args:
+        nearest: (r,) its probabilities at the design that comes nearest to the targets.
+        looks: at designs.
+    """
+
+    def log_odds(P: Array) -> Array:
+        return np.asarray(logit(np.clip(P, _LEAST, _LARGEST)))
+
+    errors = [0.0]
+    for look in looks:
+        low, high = log_odds(np.array([(one.low, one.high) for one in look.estimates])).T
+        own = log_odds(look.candidate.model)
+        errors.append(float(np.maximum(low - own, own - high).max()))
+    return max(errors) <= _TRUSTED * float((log_odds(nearest) - log_odds(task.targets)).max())
 
 
 def _ends(task: DesignTask, refuted: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
@@ -571,5 +597,8 @@ def _on_line(task: DesignTask, model: Model, held: Mapping[str, float], aims: Ar
             values += steps[(steps >= ends[0]) & (steps <= ends[1])].tolist()
         elif ends[0] < ends[1]:
             values.append(float(minimize_scalar(cost, bounds=ends, method="bounded").x))
-    x = min(values, key=cost)
-    return Candidate({name: x, **held}, probabilities(x), is_feasible=True, ranges=tuple(ranges))
+    for x in sorted(values, key=cost):
+        # Between two values of the grid that meet the aims, others may miss them.
+        if _excess(P := probabilities(x), aims) <= 0.0:
+            break
+    return Candidate({name: x, **held}, P, is_feasible=True, ranges=tuple(ranges))

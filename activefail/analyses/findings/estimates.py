@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, Self
 
 from activefail.analyses.findings.learned_from import noise_notes, source_in_words
 from activefail.analyses.findings.lines import titled
-from activefail.analyses.findings.quantities import words
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
 from activefail.estimates.confidence_bounds import BOUND_CONFIDENCE, upper_bound
@@ -22,7 +21,7 @@ from activefail.loop.history import History
 from activefail.simulators.interface import limits_of
 from activefail.space.shares import alike, interval_percent, percent, significant
 from activefail.space.space import REACH
-from activefail.visible import or_worse, visible
+from activefail.visible import or_worse, visible, words
 
 _DEVIATING = 2.0
 """Deviation of margins above which a note reports it: the interval allows for this much in any case."""

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.analyses.findings.quantities import words
 from activefail.campaign.assembly import Campaign
 from activefail.estimates.error import expected_error
 from activefail.learning.model.classifier import Classifier
@@ -14,9 +13,9 @@ from activefail.learning.model.moments import Predicted, binary_entropy
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import NUMERICAL_FAILURE, noun_of
 from activefail.space.space import Array
-from activefail.visible import or_worse
+from activefail.visible import or_worse, words
 
 _POOL = 2**12
 
@@ -188,7 +187,7 @@ def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
     F = campaign.features(findings.X)
     at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
     name = words(campaign.simulator.outcomes[severity])
-    thing = getattr(campaign.simulator, "noun", "design")
+    thing = noun_of(campaign.simulator)
     chosen: list[tuple[int, str]] = []
     beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
     if len(beyond):

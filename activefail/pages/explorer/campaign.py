@@ -1,31 +1,28 @@
 """The page of one design of a campaign: what its classifier predicts, and how it moves."""
 
 import json
-import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from activefail.analyses.findings import quantities
-from activefail.analyses.findings.quantities import plain, words
 from activefail.analyses.findings.results import Findings, at_the_boundary, interval, predict
 from activefail.errors import InputError
 from activefail.pages.explorer.fields import Field, Values, chosen
-from activefail.pages.explorer.film import film, histories
 from activefail.pages.explorer.pages import Panel, page
 from activefail.pages.figures.axes import outcome_colour
 from activefail.pages.figures.curves import plot_fragility, plot_learning_curves
 from activefail.pages.figures.outcome_planes import marks_in, plot_variable_plane
 from activefail.pages.figures.svg import inline, place_of
-from activefail.seismic.bearing.design import TABLE_1, Model, Tolerance
-from activefail.seismic.bearing.motion import Motion, describe_outcome
-from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.pages.view import view_of
+from activefail.simulators.interface import noun_of
 from activefail.space.shares import percent
 from activefail.space.space import Array, DesignSpace
-from activefail.visible import or_worse, visible
+from activefail.text.quantities import plain
+from activefail.visible import or_worse, visible, words
 
 if TYPE_CHECKING:
     from activefail.analyses.findings.failure import FailureFindings
@@ -65,6 +62,7 @@ class OneDesign:
         findings: of the campaign.
         campaign, space, outcomes: of the findings.
         quantities: the variables, as shown to a reader.
+        view: shows simulated designs; None if the simulator has none.
         fields: of the variables, in the middle of the space.
     """
 
@@ -73,18 +71,19 @@ class OneDesign:
         self.campaign, self.space = findings.campaign, findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
         self.quantities = quantities.variables(findings.campaign)
+        self.view = view_of(self.campaign.simulator)
         middle = middle_of(self.space)
         self.fields = tuple(map(Field.of, self.space.parameters, self.quantities, middle))
         # Compile and load everything before the first request.
         values = self._named(middle)
         self.predict(values)
-        if self.simulates:
-            self._simulated(values)
+        if self.view is not None:
+            self.view.prepare(self.point(values))
 
     @property
     def simulates(self) -> bool:
-        """Whether the simulator's motion can be shown."""
-        return isinstance(self.campaign.simulator, DfpSimulator)
+        """Whether designs can be simulated and shown."""
+        return self.view is not None
 
     @cached_property
     def learned(self) -> Findings:
@@ -114,6 +113,7 @@ class OneDesign:
             outcomes=self.outcomes,
             beyond=self.findings.beyond,
             simulates=self.simulates,
+            noun=noun_of(self.campaign.simulator),
             **links,
         )
 
@@ -269,53 +269,16 @@ class OneDesign:
     # --- how it moves ------------------------------------------------------------------------------------------------
 
     def simulate(self, values: Values) -> str:
-        """Simulate a bearing: its outcome, its motion as a film and over time, and the command that repeats it.
+        """Simulate a design and show it.
 
         Raises:
-            InputError: if the campaign's simulator has no bearing to show.
+            InputError: if the campaign's simulator has no view.
         """
-        simulator, response = self._simulated(values)
-        named = self._named(self.point(values).tolist())
-        terms = terms_of(simulator, self.space.quantities(named))
-        try:
-            motion = Motion(response)
-        except InputError:
-            motion = None
-        return page(
-            "simulate",
-            outcome=response.outcome_name,
-            description=describe_outcome(response),
-            terms="" if terms is None else terms.text,
-            command=_command(simulator, named),
-            motion=motion,
-            film=motion and film(motion),
-            histories=motion and histories(motion, _WIDTH),
-        )
-
-    def _simulated(self, values: Values) -> Any:
-        """The simulator and its response to the design in a form."""
-        if not isinstance(self.campaign.simulator, DfpSimulator):
-            raise InputError("This campaign's simulator has no bearing to show.")
-        return self.campaign.simulator, self.campaign.simulator.response(self.point(values))
+        if self.view is None:
+            raise InputError(f"This campaign's simulator has no {noun_of(self.campaign.simulator)} to show.")
+        return self.view.panel(self.point(values), _WIDTH)
 
 
 def middle_of(space: DesignSpace) -> list[float]:
     """The middle of a space, without the digits that are the rounding of a sum: 0.07, not 0.06999999999999999."""
     return [float(f"{value:.12g}") for value in space.from_unit(np.full(space.dimension, 0.5)).tolist()]
-
-
-def _command(simulator: DfpSimulator, named: Mapping[str, float]) -> str:
-    """The command that simulates this bearing: the design with all digits, and settings that are not the default."""
-    (row,) = simulator.space.table(np.array([[*named.values()]]), TABLE_1.names).tolist()
-    defaults = asdict(Model()) | {"tolerance": Tolerance().relative}
-    settings = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
-    unusual = {name: one for name, one in settings.items() if one != defaults[name]}
-    arguments = ["activefail", "simulate"]
-    for name, value in (dict(zip(TABLE_1.names, row, strict=True)) | unusual).items():
-        option = name.lower().replace("_", "-")
-        if isinstance(value, bool):
-            arguments.append(f"--{'' if value else 'no-'}{option}")
-        else:
-            text = value if isinstance(value, str) else np.format_float_positional(value, trim="-")
-            arguments += [f"--{option}", text]
-    return shlex.join(arguments)

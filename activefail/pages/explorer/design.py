@@ -15,7 +15,6 @@ from activefail.analyses.design.design_task import LOOKS, RISK_CATEGORIES, SIMUL
 from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.design.required_chart import least_value
 from activefail.analyses.design.search import find_design
-from activefail.analyses.findings.quantities import plain
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
@@ -37,6 +36,7 @@ from activefail.space.parameter import Parameter
 from activefail.space.shares import percent, significant
 from activefail.space.space import Array
 from activefail.text.progress import Begin
+from activefail.text.quantities import plain
 
 _ALONG = 9
 """Values of the displacement capacity on the curve."""

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from activefail.analyses.findings.quantities import Quantity
 from activefail.errors import InputError
 from activefail.space.parameter import Parameter
+from activefail.text.quantities import Quantity
 
 Values = Mapping[str, Any]
 """What a page sends: the values of its form by name; numbers may be texts."""

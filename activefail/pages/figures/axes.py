@@ -16,7 +16,6 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from activefail.analyses.findings.quantities import plain, words
 from activefail.pages.figures.style import (
     BLACK,
     BLUE,
@@ -30,6 +29,8 @@ from activefail.pages.figures.style import (
     letters,
 )
 from activefail.space.space import Array
+from activefail.text.quantities import plain
+from activefail.visible import words
 
 
 def panel(width: float, height: float) -> tuple[Figure, Axes]:

@@ -7,11 +7,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from statsmodels.stats.proportion import proportion_confint
 
-from activefail.analyses.findings.quantities import Quantity, plain, words
 from activefail.learning.model.classifier import Classifier
 from activefail.pages.figures.axes import legend_outside, outcome_colour, outcome_marker, panel, plain_log
 from activefail.pages.figures.style import GREY, LIGHT_GREY, LINE_COLOURS, LINE_MARKERS, styled
 from activefail.space.space import Array
+from activefail.text.quantities import Quantity, plain
+from activefail.visible import words
 
 
 @styled()

@@ -11,7 +11,6 @@ from matplotlib.ticker import MaxNLocator
 from activefail.analyses.comparison.equivalent import equivalent
 from activefail.analyses.comparison.seeds import STATIC, Point
 from activefail.analyses.comparison.static import by_size
-from activefail.analyses.findings.quantities import Quantity
 from activefail.analyses.findings.results import Prediction
 from activefail.estimates.scores import Score
 from activefail.pages.figures.axes import legend_outside, log_sizes, own_axes, panel
@@ -26,6 +25,7 @@ from activefail.pages.figures.style import (
     styled,
 )
 from activefail.space.space import Array
+from activefail.text.quantities import Quantity
 
 _LOGARITHMIC = 5
 """Ratio of the largest to the smallest number of simulations from which the axis is logarithmic."""

@@ -10,12 +10,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from activefail.analyses.findings.failure import RARE, FailureFindings
-from activefail.analyses.findings.quantities import Quantity, plain
 from activefail.analyses.findings.results import Findings
 from activefail.estimates.design_point import DesignPoint
 from activefail.pages.figures.axes import legend_outside, outcome_handles, own_axes, panel, scatter_outcomes
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, SKY_BLUE, VERMILION, styled
 from activefail.space.space import Array, DesignSpace
+from activefail.text.quantities import Quantity, plain
 
 _GRID = 90
 """Points along each side of the plane."""

@@ -1,4 +1,4 @@
-"""Predictions of a campaign's classifier in planes: the paper's planes if it has their variables, else of variables."""
+"""Predictions of a campaign's classifier in planes: those of a plug-in if they suit it, else of variables."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from activefail.analyses.findings.quantities import Quantity, plain, quantity, variables, words
+from activefail.analyses.findings.quantities import variables
 from activefail.analyses.findings.results import Findings, Prediction, predict
 from activefail.pages.figures.axes import (
     axis_limits,
@@ -25,18 +25,36 @@ from activefail.pages.figures.axes import (
     scatter_outcomes,
 )
 from activefail.pages.figures.style import GREY, fitting_size, letters, styled
-from activefail.seismic.bearing.design import GRAVITY, TABLE_1
-from activefail.seismic.features import PAPER_FEATURES, paper_features
-from activefail.seismic.figures.paper_planes import PLANES, SLICE, Plane
+from activefail.plugins import brought
 from activefail.space.space import Array, DesignSpace
+from activefail.text.quantities import Quantity, plain
+from activefail.visible import words
 
 GRID, _FINE = 44, 150
 """Points along each side of a plane of the report, and of a single one."""
 
 
 @dataclass(frozen=True)
+class Plane:
+    """A plane of two coordinates.
+
+    Attributes:
+        x, y, third: columns of the coordinates; no third if -1.
+        values: of the third, one for each panel.
+    """
+
+    x: int
+    y: int
+    third: int
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Coordinates:
     """Coordinates of planes, and predictions at points in them.
+
+    A plug-in brings them for the campaigns that they suit: its `planes` are functions of findings that return
+    coordinates, or None.
 
     Attributes:
         quantities: (m,) of the coordinates.
@@ -46,6 +64,7 @@ class Coordinates:
         planes: the planes to draw.
         widths: half-widths of the slices at the values of a plane's third coordinate.
         choices: columns of the coordinates without order.
+        are_features: whether they are features; else variables.
     """
 
     quantities: Sequence[Quantity]
@@ -55,85 +74,13 @@ class Coordinates:
     planes: Sequence[Plane]
     widths: Callable[[Plane, float], float]
     choices: Sequence[int] = ()
-
-
-LOGARITHMIC = (0, 1, 2, 5, 6, 7, 8)
-"""Columns of Table 1 in whose logarithms the log ratios of the paper are linear: T_b, mu, D_tot, p, k, T_p, A_p."""
-
-_RATIOS = (0, 1, 2, 5)
-EXPONENTS = np.array(
-    [
-        [0.0, 0.0, -1.0, 0.0, 0.0, 2.0, 1.0],
-        [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0],
-        [0.0, 0.0, 0.0, -1.0, 1.0, -1.0, -0.5],
-    ]
-)
-"""Exponents of these columns in the ratios D_ratio, T_b/T_p, mu/A_p and k_norm, one row each."""
-
-_PULSE = np.log(GRAVITY / (2.0 * np.pi) ** 2)
-_CONSTANTS = np.array([_PULSE, 0.0, 0.0, -np.log(1e6) - 0.5 * _PULSE])
-
-
-def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Designs with given paper features, (n, 6) -> (n, 9), near the middle of a box, and whether the box has one, (n,).
-
-    Six features leave three of nine variables free. The four ratios are linear in logarithms, so alternating
-    projections between them and the box, from its middle, converge to a common point if there is one.
-
-    Args:
-        F: the features, all positive.
-        low, high: (9,) the box, in Table 1's order and units.
-    """
-    columns = list(LOGARITHMIC)
-    lower, upper = np.log(low[columns]), np.log(high[columns])
-    half = 0.5 * (upper - lower)
-    # In units of the ranges, so that all variables move alike.
-    A = EXPONENTS * half
-    inverse = np.linalg.pinv(A)
-    b = np.log(F[:, list(_RATIOS)]) - _CONSTANTS - EXPONENTS @ (0.5 * (lower + upper))
-    z = np.zeros((len(F), len(columns)))
-    for _ in range(150):
-        z = np.clip(z, -1.0, 1.0)
-        z += (b - z @ A.T) @ inverse.T
-    z = np.clip(z, -1.0, 1.0)
-    residual = np.abs(b - z @ A.T).max(axis=1)
-    X = np.empty((len(F), TABLE_1.dimension))
-    X[:, columns] = np.exp(0.5 * (lower + upper) + half * z)
-    X[:, 3], X[:, 4] = F[:, 3], F[:, 4]
-    inside = np.all((F[:, 3:5] >= low[3:5]) & (F[:, 3:5] <= high[3:5]), axis=1)
-    # Rounding of logarithm and exponential can leave the box.
-    return np.clip(X, low, high), inside & (residual < 0.02)
+    are_features: bool = False
 
 
 def coordinates(findings: Findings) -> Coordinates:
-    """The paper's planes for a campaign over its nine variables, else planes of the most influential variables."""
-    space = findings.campaign.space
-    if set(TABLE_1.names) <= set(space.names) and np.all(space.low > 0.0) and space.dimension == TABLE_1.dimension:
-        return _paper_coordinates(findings)
-    return _variable_coordinates(findings)
-
-
-def _paper_coordinates(findings: Findings) -> Coordinates:
-    campaign = findings.campaign
-    space = campaign.space
-    columns = [space.names.index(name) for name in TABLE_1.names]
-    F = paper_features(findings.X[:, columns])
-
-    def at(rows: Array) -> Prediction:
-        table, exists = designs_with(rows, space.low[columns], space.high[columns])
-        X = np.empty_like(table)
-        X[:, columns] = table
-        return predict(campaign, findings.classifier, X, exists)
-
-    return Coordinates(
-        [quantity(name) for name in PAPER_FEATURES],
-        F,
-        np.median(F, axis=0),
-        at,
-        PLANES,
-        lambda _, value: SLICE * value,
-    )
+    """The planes of a plug-in that suit a campaign, else planes of the most influential variables."""
+    suited = filter(None, (of(findings) for of in brought("planes").values()))
+    return next(suited, None) or _variable_coordinates(findings)
 
 
 def _variable_coordinates(findings: Findings) -> Coordinates:
@@ -156,17 +103,17 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     def plane(x: int, y: int, third: int) -> Plane:
         low, high, one = space.low[third], space.high[third], space.parameters[third]
         values = tuple(float(one.rounded(low + share * (high - low))) for share in (0.2, 0.5, 0.8))
-        return Plane("plane", x, y, third, values, (0.0, 0.0, 0.0))
+        return Plane(x, y, third, values)
 
     for column in [int(column) for column in order if is_choice[column]][: len(first) // 2]:
         probable = np.argsort(-np.array(space.parameters[column].probabilities), kind="stable")[:3]
         values = tuple(np.sort(probable).astype(float).tolist())
-        of_choices.append(Plane("plane", first[0], first[1], column, values, (0.0, 0.0, 0.0)))
+        of_choices.append(Plane(first[0], first[1], column, values))
     match first:
         case [a, b, c]:
             planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
         case [a, b] if not of_choices:
-            planes = [Plane("plane", a, b, -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+            planes = [Plane(a, b, -1, (0.0,))]
         case _:
             planes = []
 
@@ -295,7 +242,7 @@ def plot_variable_plane(
 
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> list[Figure]:
     """Probabilities of all outcomes but the least severe, and the uncertainty: a figure per third value."""
-    return [_at_value(plane, value, c, findings) for value in (plane.values if plane.third >= 0 else plane.values[:1])]
+    return [_at_value(plane, value, c, findings) for value in plane.values]
 
 
 @styled()
@@ -303,7 +250,7 @@ def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) ->
     campaign = findings.campaign
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
-    share = 0.9 if c.planes is PLANES else 1.0
+    share = 0.9 if c.are_features else 1.0
     x_limits, y_limits = (axis_limits(F[:, column], share) for column in (plane.x, plane.y))
     shown = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
     x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))

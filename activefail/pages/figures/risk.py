@@ -1,4 +1,4 @@
-"""Drawings of risk: fragility curves, required values, capacities under records, and sensitivities."""
+"""Drawings of risk: fragility curves, required values, and sensitivities."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -7,48 +7,49 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import ndtr
 
 from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.design.required_chart import RequiredChart
 from activefail.analyses.design.stored import StoredDesign
-from activefail.analyses.findings.quantities import Quantity, custom_quantity, plain, quantity, words
 from activefail.analyses.fragility.findings import BoundaryFragility, FragilityFindings
 from activefail.analyses.sensitivity.findings import Move
 from activefail.analyses.sensitivity.sobol import Index
 from activefail.analyses.stripes.findings import StripeFindings
 from activefail.pages.figures.axes import legend_outside, outcome_colour, outcome_marker, panel, plain_log
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LINE_COLOURS, LINE_MARKERS, ORANGE, VERMILION, styled
-from activefail.seismic.hazard.deaggregation import Deaggregation
-from activefail.seismic.ida.collapse import Fragility
-from activefail.seismic.ida.findings import IdaFindings
+from activefail.plugins import brought
 from activefail.space.shares import significant
+from activefail.text.quantities import Quantity, plain, quantity
+from activefail.visible import words
 
-_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 """Labels in a decade of an axis."""
 
 
-_SIZE = 4.8, 4.4
+SIZE = 4.8, 4.4
 """Width and height of a curve [in]."""
 
 
 @styled()
-def plot_fragility_findings(findings: FragilityFindings) -> dict[str, Figure]:
+def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Quantity]) -> dict[str, Figure]:
     """The curves of all boundaries and, under a hazard, the pulses that cause the most severe outcome, by file name.
 
     The curve is the result. A lognormal curve that describes it is dotted.
+
+    Args:
+        findings: the curves.
+        shown: the variables, by name.
     """
-    figure, axes = panel(*_SIZE)
-    _draw_curves(axes, findings)
+    figure, axes = panel(*SIZE)
+    _draw_curves(axes, findings, shown)
     legend_outside(figure)
     figures, deaggregation = {"fragility": figure}, findings.boundaries[-1].deaggregation
     if deaggregation is not None and deaggregation.failures is not None:
-        figures["pulses"], axes = panel(*_SIZE)
-        _draw_pulses(figures["pulses"], axes, deaggregation, findings.boundaries[-1].outcome)
+        figures["pulses"] = brought("figures")["pulses"](deaggregation, findings.boundaries[-1].outcome)
     return figures
 
 
-def _draw_curves(axes: Axes, findings: FragilityFindings) -> None:
+def _draw_curves(axes: Axes, findings: FragilityFindings, shown: Mapping[str, Quantity]) -> None:
     outcomes = ("", *(one.outcome for one in findings.boundaries))
     for index, one in enumerate(findings.boundaries, start=1):
         _draw_boundary(axes, one, outcome_colour(outcomes, index), outcome_marker(outcomes, index))
@@ -56,8 +57,8 @@ def _draw_curves(axes: Axes, findings: FragilityFindings) -> None:
         axes.axvline(findings.median, color=BLACK, linewidth=0.9, linestyle="-.", label="median of the hazard")
     if findings.ladder.is_log:
         axes.set_xscale("log")
-        plain_log(axes.xaxis, _STEPS)
-    variable = quantity(findings.ladder.name, findings.ladder.unit)
+        plain_log(axes.xaxis, STEPS)
+    variable = quantity(findings.ladder.name, findings.ladder.unit, shown)
     axes.set(xlabel=variable.axis, ylabel="probability of this outcome or worse [–]", ylim=(-0.02, 1.02))
     axes.set_xlim(*_shown_levels(findings))
     axes.set_title(plain(findings.title))
@@ -97,21 +98,6 @@ def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
     if findings.median is not None:
         low, high = min(low, 0.95 * findings.median), max(high, 1.05 * findings.median)
     return low, high
-
-
-def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outcome: str) -> None:
-    assert deaggregation.failures is not None
-    shares = 100.0 * deaggregation.failures.share.T
-    mesh = axes.pcolormesh(deaggregation.period, deaggregation.velocity, shares, cmap="Greys", vmin=0.0)
-    axes.set(xscale="log", yscale="log", xlabel=quantity("T_p").axis, ylabel=quantity("PGV", "m/s").axis)
-    axes.set_title(f"Pulses that cause {plain(words(outcome))} under the hazard")
-    axes.grid(visible=False)
-    for axis in (axes.xaxis, axes.yaxis):
-        plain_log(axis, _STEPS)
-    median = deaggregation.pulses.period.p50, deaggregation.pulses.velocity.p50
-    axes.plot(*median, "+", color=VERMILION, markersize=10, label="median pulse of the hazard")
-    axes.legend(loc="lower left")
-    figure.colorbar(mesh, ax=axes, label="share of the failures [%]")
 
 
 _WIDTH = 26
@@ -216,7 +202,7 @@ def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
         findings: of a search.
         targets: their texts.
     """
-    figure, axes = panel(*_SIZE)
+    figure, axes = panel(*SIZE)
     looks, requirements = findings.designed.looks, findings.designed.task.requirements
     for number, (colour, marker, text, one) in enumerate(
         zip(LINE_COLOURS, LINE_MARKERS, map(plain, targets), requirements, strict=False)
@@ -232,39 +218,6 @@ def plot_looks(findings: DesignFindings, targets: Sequence[str]) -> Figure:
     axes.set_ylim(0.0, 1.1 * axes.dataLim.y1)
     legend_outside(figure)
     return figure
-
-
-@styled()
-def plot_ida(findings: IdaFindings) -> Figure:
-    """The share of records that have failed against the intensity, the lognormal curve, and its median's interval."""
-    figure, axes = panel(*_SIZE)
-    levels, share = findings.empirical
-    axes.step(
-        [0.0, *levels, findings.highest],
-        [0.0, *share, share[-1] if len(share) else 0.0],
-        where="post",
-        color=BLACK,
-        linewidth=1.2,
-        label="share of records",
-    )
-    if findings.options is not None:
-        axes.axvline(findings.options.mce, color=GREY, linestyle="-.", label="maximum considered earthquake")
-    variable = custom_quantity(findings.intensity.name, findings.intensity.unit)
-    _draw_fit(axes, findings.fragility, (0.0, findings.highest), variable, findings.event)
-    axes.set_title(f"{len(findings.capacities.capacity)} records from {findings.records.events} events", fontsize=9)
-    legend_outside(figure)
-    return figure
-
-
-def _draw_fit(axes: Axes, fit: Fragility | None, ends: tuple[float, float], variable: Quantity, event: str) -> None:
-    """A lognormal curve, if there is one, with the interval of its median; and the axes."""
-    if fit is not None:
-        x = np.linspace(max(ends[0], 1e-3 * ends[1]), ends[1], 400)
-        curve = ndtr(np.log(x / fit.fit.median) / fit.fit.dispersion)
-        axes.plot(x, curve, color=VERMILION, linestyle="--", label="lognormal fit")
-        if fit.median:
-            axes.plot(fit.median, [0.5, 0.5], color=BLUE, linewidth=3.0, label="median, 95 % interval")
-    axes.set(xlabel=variable.axis, ylabel=f"probability of {plain(event)} [–]", xlim=ends, ylim=(-0.02, 1.02))
 
 
 @styled()

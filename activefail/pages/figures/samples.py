@@ -10,10 +10,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from activefail.analyses.findings.quantities import Quantity, plain, words
 from activefail.pages.figures.axes import legend_outside, outcome_colour, outcome_handles, panel, scatter_outcomes
 from activefail.pages.figures.style import BLACK, GREY, fitting_size, letters, styled
 from activefail.space.space import Array
+from activefail.text.quantities import Quantity, plain
+from activefail.visible import words
 
 MOST_SHOWN = 500
 """Most designs of a group in a panel: more would hide each other and make the page too large."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activefail.analyses.design.findings import DesignFindings
-from activefail.analyses.findings.quantities import by_name, custom_quantity, plain, quantity
+from activefail.analyses.findings.quantities import by_name, of_simulator
 from activefail.analyses.fragility.exports import OPENQUAKE, PELICUN, files_of
 from activefail.analyses.fragility.findings import (
     CAPACITIES,
@@ -22,23 +22,20 @@ from activefail.campaign.assembly import Campaign
 from activefail.pages.figures.risk import (
     marks_of,
     plot_fragility_findings,
-    plot_ida,
     plot_indices,
     plot_looks,
     plot_moves,
     plot_required,
 )
 from activefail.pages.figures.style import save_png_and_svg
-from activefail.pages.figures.svg import inline, inlined
+from activefail.pages.figures.svg import inlined
 from activefail.pages.report.environment import markdown_environment, page_environment
 from activefail.seismic.ida.collapse import CONFIDENCE
 from activefail.seismic.ida.collapse import Fragility as LognormalFit
-from activefail.seismic.ida.findings import IdaFindings
-from activefail.seismic.simulator import DfpSimulator
 from activefail.space.shares import bounds_percent, percent, significant
-from activefail.text.csv_table import writing
 from activefail.text.files import make_folder, replacing, target_of
 from activefail.text.json_text import json_text
+from activefail.text.quantities import Quantity, plain, quantity
 from activefail.version import __version__
 from activefail.visible import or_worse
 
@@ -72,8 +69,9 @@ def write_folder(
 
 def write_fragility(findings: FragilityFindings, folder: Path, campaign: Campaign | None = None) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files."""
-    figures = plot_fragility_findings(findings)
-    shown, files = curves_shown(findings, figures), files_of(findings)
+    variables = {} if campaign is None else by_name(campaign)
+    figures = plot_fragility_findings(findings, variables)
+    shown, files = curves_shown(findings, figures, variables), files_of(findings)
     programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
     page = _page("fragility.html.j2", title=shown["heading"], curves=shown, programs=programs, refused=findings.refused)
     return write_folder(folder, {"fragility.html": page} | files, figures)
@@ -87,7 +85,7 @@ Card = tuple[str, str, str]
 """A number of the box at the head of a page: what it is, the number, and its interval or that it has none."""
 
 
-def _of_fit(fit: LognormalFit | None, event: str, unit: str, over: str) -> list[Card]:
+def cards_of_fit(fit: LognormalFit | None, event: str, unit: str, over: str) -> list[Card]:
     """The median and the dispersion of a fitted curve, with intervals over events or groups."""
     if fit is None:
         return []
@@ -108,7 +106,9 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -> dict[str, Any]:
+def curves_shown(
+    findings: FragilityFindings, figures: "Mapping[str, Figure]", variables: Mapping[str, Quantity]
+) -> dict[str, Any]:
     """The texts of the curves and the pictures, for the template `curves.html.j2`."""
     title, boundaries = _sentence(heading(findings)), findings.boundaries[::-1]
     verified = [one for one in boundaries if one.verified]
@@ -128,7 +128,7 @@ def curves_shown(findings: FragilityFindings, figures: "Mapping[str, Figure]") -
         capacities.append((name, rows))
     return {
         "heading": title,
-        "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
+        "variable": quantity(findings.ladder.name, findings.ladder.unit, variables).text,
         "cards": _of_curve(findings, leading),
         "lacks_interval": median.level is not None and None in (ends_of_median.low, ends_of_median.high),
         "given": findings.given,
@@ -152,7 +152,7 @@ def _of_curve(findings: FragilityFindings, one: BoundaryFragility) -> list[Card]
     """The median capacity of a boundary, and its risk or its probability under the hazard, if there is one."""
     event, unit, alone = or_worse(one.outcome, findings.outcomes), unit_of(findings), "by the classifier, no interval"
     if one.fit is not None and one.fit.median:
-        return _of_fit(one.fit, event, unit, "groups")
+        return cards_of_fit(one.fit, event, unit, "groups")
     of, interval = one.capacity(0.5)
     level, why = of.level, of.reason or alone
     if ends := ends_in_words(interval):
@@ -240,8 +240,7 @@ def write_sensitivity(sensitivity: SensitivityFindings, out: Path, campaign: Cam
     Raises:
         InputError: if a file cannot be written.
     """
-    describe = quantity if isinstance(campaign.simulator, DfpSimulator) else custom_quantity
-    quantities = {name: describe(name, unit) for name, unit in sensitivity.units.items()}
+    quantities = {name: of_simulator(campaign, name, unit) for name, unit in sensitivity.units.items()}
     figures = {}
     if sensitivity.moves:
         name = plain(or_worse(sensitivity.outcome, sensitivity.outcomes))
@@ -251,26 +250,3 @@ def write_sensitivity(sensitivity: SensitivityFindings, out: Path, campaign: Cam
     template = markdown_environment().get_template("sensitivity.md.j2")
     page = template.render(it=sensitivity, indices_picture=INDICES, moves_picture=MOVES)
     return write_folder(out, {"sensitivity.md": page, "sensitivity.csv": sensitivity.write_table}, figures)
-
-
-def write_ida(findings: IdaFindings, folder: Path, campaign: Campaign | None = None) -> list[Path]:
-    """Write the page, ida.json, ida.csv, ida.png and ida.svg into a folder; returns the files."""
-    numbers, figure = findings.as_json(), plot_ida(findings)
-    columns = list(numbers["records"][0])
-
-    def write_table(path: Path) -> None:
-        with writing(path, columns) as write:
-            write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
-
-    title = f"Capacities of {len(numbers['records'])} records for {findings.event}"
-    unit, reached = f" {findings.intensity.unit}" if findings.intensity.unit else "", findings.failed
-    cards = _of_fit(findings.fragility, findings.event, unit, "events")
-    cards = cards or [(f"records that reach {findings.event}", str(reached), f"of {len(numbers['records'])}; no curve")]
-    if findings.fragility is not None and findings.options is not None:
-        ends = tuple(findings.options.shape_factor * end for end in findings.cmr_interval or ())
-        interval = f"({' to '.join(map(significant, ends))} with {100.0 * CONFIDENCE:g} % confidence)" if ends else ""
-        cards[1:] = [("adjusted collapse margin ratio", significant(findings.acmr), interval or "(no interval)")]
-    drawn = inline(figure, "ida", title)
-    page = _page("ida.html.j2", title=title, findings=findings, cards=cards, records=numbers["records"], drawn=drawn)
-    texts = {"ida.html": page, "ida.json": json_text(numbers) + "\n"}
-    return write_folder(folder, {**texts, "ida.csv": write_table}, {"ida": figure})

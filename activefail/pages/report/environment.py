@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from activefail.space.shares import bounds_percent, interval_percent, percent, power, short, significant
@@ -35,18 +35,23 @@ def _shown(value: object) -> object:
     return visible(value, keep="\n\t") if type(value) is str else value
 
 
-def page_environment(package: str = "activefail.pages.report") -> Environment:
-    """The environment of the HTML pages' templates in a package."""
-    return _environment(package, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+REPORT = "activefail.pages.report"
+"""The package with the frame of pages and the parts that they share."""
 
 
-def markdown_environment() -> Environment:
-    """The environment of the Markdown pages' templates."""
-    return _environment("activefail.pages.report", keep_trailing_newline=True)
+def page_environment(*packages: str) -> Environment:
+    """The environment of the HTML pages' templates in packages, by default the report; the first has precedence."""
+    return _environment(*packages, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 
-def _environment(package: str, **more: Any) -> Environment:
-    environment = Environment(loader=PackageLoader(package, "."), undefined=StrictUndefined, finalize=_shown, **more)
+def markdown_environment(*packages: str) -> Environment:
+    """The environment of the Markdown pages' templates, in packages as above."""
+    return _environment(*packages, keep_trailing_newline=True)
+
+
+def _environment(*packages: str, **more: Any) -> Environment:
+    loader = ChoiceLoader([PackageLoader(one, ".") for one in packages or (REPORT,)])
+    environment = Environment(loader=loader, undefined=StrictUndefined, finalize=_shown, **more)
     environment.filters |= {one.__name__: one for one in (subscripts, words, percent, short, significant, probability)}
     environment.globals |= {one.__name__: one for one in (interval_percent, bounds_percent)}
     return environment

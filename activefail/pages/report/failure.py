@@ -16,6 +16,7 @@ from activefail.estimates.integral import boundary_of
 from activefail.pages.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.pages.figures.svg import inline
 from activefail.space.shares import alike, percent, significant
+from activefail.text.quantities import plain
 
 
 def failure_section(findings: Findings, failure: FailureFindings | None, width: float = 5.4) -> dict[str, Any] | None:
@@ -32,7 +33,7 @@ def failure_section(findings: Findings, failure: FailureFindings | None, width: 
         shown["asked"] = _texts(asked.estimate, asked.high if asked.is_extrapolated else None)
         shown["asked"] |= {"question": asked.question, "outside": percent(asked.extrapolated)}
     model, *ends = alike(float(failure.probability[-1]), low, high)
-    figure = plot_probability(failure, quantities.plain(findings.beyond), width)
+    figure = plot_probability(failure, plain(findings.beyond), width)
     return shown | {
         "is_rare": failure.is_rare,
         "model": model,

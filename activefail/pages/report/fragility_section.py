@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from activefail.analyses.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
 from activefail.analyses.design.required_chart import RequiredChart, chart_of
 from activefail.analyses.design.stored import StoredDesign, stored_designs
-from activefail.analyses.findings.quantities import Quantity, by_name
+from activefail.analyses.findings.quantities import by_name
 from activefail.analyses.fragility.calculation import fragility
 from activefail.analyses.fragility.findings import FragilityFindings
 from activefail.analyses.fragility.levels import ladder_of
@@ -18,6 +18,7 @@ from activefail.estimates.probability_estimator import Estimator
 from activefail.pages.figures.risk import marks_of_stored, plot_fragility_findings, plot_required
 from activefail.pages.figures.svg import inlined
 from activefail.pages.report.analyses import curves_shown
+from activefail.text.quantities import Quantity
 from activefail.visible import quoted
 
 _CONFIDENCE = 0.95
@@ -119,13 +120,13 @@ def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
     """The findings, texts and pictures of the section; None without a hazard."""
     if findings is None:
         return None
-    chart, drawn = findings.chart, None
+    chart, shown, drawn = findings.chart, findings.shown, None
     if chart is not None:
-        figures = plot_required(chart, findings.shown, marks_of_stored(chart, findings.designs))
+        figures = plot_required(chart, shown, marks_of_stored(chart, findings.designs))
         drawn = inlined(figures.values(), "required", f"Required {chart.name} against {chart.across}")
     return {
         "found": findings,
-        "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility)),
+        "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility, shown), shown),
         "required": DEFAULT_FREE,
         "chart": drawn,
     }

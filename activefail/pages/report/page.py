@@ -12,14 +12,12 @@ from activefail.analyses.comparison.static import given_in_words, median_score
 from activefail.analyses.findings import quantities
 from activefail.analyses.findings.failure import FailureFindings
 from activefail.analyses.findings.learned_from import source_in_words
-from activefail.analyses.findings.quantities import words
 from activefail.analyses.findings.results import Findings, at_the_boundary, information
 from activefail.analyses.findings.summary import Summary, features_in_words, simulator_in_words, where_lost
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
 from activefail.campaign.question import has_pulse
-from activefail.errors import InputError
 from activefail.estimates.scores import error_in_words
 from activefail.learning.model.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.learning.model.system import ByMargins
@@ -34,20 +32,18 @@ from activefail.pages.report.environment import page_environment
 from activefail.pages.report.evidence import Curve, Evidence, Reliability
 from activefail.pages.report.failure import failure_section
 from activefail.pages.report.fragility_section import RiskFindings, fragility_section
+from activefail.pages.view import view_of
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
 from activefail.record.store import Store
-from activefail.seismic.bearing.motion import Motion, describe_outcome
-from activefail.seismic.features import PAPER_FEATURES
-from activefail.seismic.figures.motion import plot_snapshots
-from activefail.seismic.figures.paper_planes import PLANES
-from activefail.seismic.simulator import DfpSimulator, terms_of
+from activefail.simulators.interface import noun_of
 from activefail.space.distributions import FAMILIES
 from activefail.space.parameter import Parameter
 from activefail.space.shares import choices_with_shares, significant
 from activefail.text.numerals import outcomes_in_words
+from activefail.text.quantities import plain
 from activefail.version import __version__
-from activefail.visible import quoted, visible
+from activefail.visible import quoted, visible, words
 
 MOST_PAIRED = 6
 """Most features in the pair plot: those with the shortest length scales."""
@@ -95,7 +91,7 @@ def _curve(findings: Findings, curve: Curve | None) -> dict[str, Any]:
     scores = sorted(curve.scores, key=lambda score: (score.simulations, score.sampling))
     last = max(scores, key=lambda score: (score.sampling == "active", score.simulations))
     static = [score for score in scores if score.sampling == "static" and score.simulations == last.simulations]
-    boundary = quantities.plain(words(findings.boundary))
+    boundary = plain(words(findings.boundary))
     figure = plot_learning_curves(curve.scores, boundary, curve.test_size)
     return {
         "picture": inline(figure, "curve", "Learning curve"),
@@ -145,15 +141,15 @@ def _planes(findings: Findings) -> dict[str, Any]:
         pictures.append((names, drawn))
     return {
         "pictures": pictures,
-        "of_features": c.planes is PLANES,
-        "of_the_paper": findings.campaign.features.names == PAPER_FEATURES,
+        "of_features": c.are_features,
+        "of_the_classifier": findings.campaign.features.names == tuple(one.name for one in c.quantities),
     }
 
 
 def _reliability(findings: Findings, reliability: Reliability | None) -> dict[str, Any] | None:
     if reliability is None:
         return None
-    name, designs = quantities.plain(findings.beyond), len(reliability.beyond)
+    name, designs = plain(findings.beyond), len(reliability.beyond)
     labels = f"share with {name} [–]", f"predicted P({name}) [–]"
     figure = plot_reliability({f"{designs} designs": reliability.probability}, reliability.beyond, 1, labels=labels)
     picture = inline(figure, "reliability", "Reliability diagram")
@@ -181,6 +177,7 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
             for column in order
         ],
         "long": LONG,
+        "explained": hasattr(campaign.simulator, "quantities"),
         "correlations": sorted({_CORRELATION[kernel] for _, _, kernel in _learned_from(findings)}),
     }
 
@@ -196,28 +193,24 @@ def _uncertain(findings: Findings) -> list[tuple[Any, ...]]:
 
 
 def _gallery(findings: Findings) -> list[dict[str, Any]]:
-    simulator, space = findings.campaign.simulator, findings.campaign.space
-    if not isinstance(simulator, DfpSimulator):
-        return []
-    shown = []
+    view, shown = view_of(findings.campaign.simulator), list[dict[str, Any]]()
+    if view is None:
+        return shown
     for number, (row, why) in enumerate(at_the_boundary(findings), start=1):
         X = findings.X[row]
-        response = simulator.response(X)
-        try:
-            Motion(response)
-        except InputError:
-            continue  # it failed at the start: there is no motion to draw
-        alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
-        terms = terms_of(simulator, space.quantities(dict(zip(space.names, X.tolist(), strict=True))))
+        picture = view.picture(X, f"bearing{number}", f"simulation {findings.ids[row]}")
+        if picture is None:
+            continue
         entered = "given" if findings.given[row] else f"iteration {findings.iteration[row]}"
         shown.append(
             {
-                "picture": inline(plot_snapshots(response), f"bearing{number}", alternative),
+                "picture": picture.drawn,
+                "legend": view.legend,
                 "why": why,
                 "simulation": int(findings.ids[row]),
                 "entered": "initial design" if findings.initial[row] else entered,
-                "result": describe_outcome(response),
-                "terms": "" if terms is None else terms.text,
+                "result": picture.result,
+                "terms": picture.terms,
                 "probabilities": findings.classifier.probabilities(X[None])[0].tolist(),
             }
         )
@@ -355,7 +348,7 @@ def render(
         "next_step": next_step,
         "verifies": _verifies(campaign),
         "commands": _commands(findings, evidence, done, risk),
-        "drawn": isinstance(campaign.simulator, DfpSimulator),
+        "drawn": view_of(campaign.simulator) and noun_of(campaign.simulator).capitalize(),
         "frozen": text,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
         "versions": {name: value for name, value in provenance().items() if name not in hidden},

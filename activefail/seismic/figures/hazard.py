@@ -1,4 +1,4 @@
-"""The pulses of a hazard with the boundary of a campaign's design space, and the hazard curve."""
+"""The pulses of a hazard with the boundary of a campaign's design space, those that fail, and the hazard curve."""
 
 import math
 from pathlib import Path
@@ -9,13 +9,18 @@ from matplotlib.figure import Figure
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import AMPLITUDE, PERIOD
-from activefail.pages.figures.axes import plain_log
+from activefail.pages.figures.axes import panel, plain_log
+from activefail.pages.figures.risk import SIZE, STEPS
 from activefail.pages.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, save_png_and_svg, styled
 from activefail.seismic.bearing.pulse import velocity_of
+from activefail.seismic.hazard.deaggregation import Deaggregation
 from activefail.seismic.hazard.hazard import Hazard
 from activefail.seismic.hazard.pulse_table import velocities
 from activefail.seismic.hazard.summary import HazardSummary
+from activefail.seismic.quantities import QUANTITIES
 from activefail.space.space import Array, DesignSpace
+from activefail.text.quantities import plain, quantity
+from activefail.visible import words
 
 _CONTOURS = (0.5, 0.9, 0.99)
 """Shares of the pulses inside the contours of their density."""
@@ -121,3 +126,27 @@ def _curve(axes: Axes, summary: HazardSummary) -> None:
     axes.set_ylabel("annual rate of exceedance [1/year]")
     plain_log(axes.xaxis)
     axes.legend(loc="best")
+
+
+@styled()
+def plot_pulses(deaggregation: Deaggregation, outcome: str) -> Figure:
+    """The pulses that cause an outcome under a hazard: shares in bins of T_p and PGV.
+
+    Args:
+        deaggregation: of an outcome that is not too rare.
+        outcome: its name.
+    """
+    assert deaggregation.failures is not None
+    figure, axes = panel(*SIZE)
+    shares = 100.0 * deaggregation.failures.share.T
+    mesh = axes.pcolormesh(deaggregation.period, deaggregation.velocity, shares, cmap="Greys", vmin=0.0)
+    axes.set(xscale="log", yscale="log", xlabel=QUANTITIES["T_p"].axis, ylabel=quantity("PGV", "m/s").axis)
+    axes.set_title(f"Pulses that cause {plain(words(outcome))} under the hazard")
+    axes.grid(visible=False)
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_log(axis, STEPS)
+    median = deaggregation.pulses.period.p50, deaggregation.pulses.velocity.p50
+    axes.plot(*median, "+", color=VERMILION, markersize=10, label="median pulse of the hazard")
+    axes.legend(loc="lower left")
+    figure.colorbar(mesh, ax=axes, label="share of the failures [%]")
+    return figure

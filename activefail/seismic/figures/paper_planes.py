@@ -19,6 +19,7 @@ from activefail.pages.figures.axes import (
     outcome_handles,
     scatter_outcomes,
 )
+from activefail.pages.figures.outcome_planes import Plane
 from activefail.pages.figures.style import BLACK, GREY, styled
 from activefail.space.space import Array
 
@@ -34,28 +35,24 @@ SLICE = 0.02 / 0.11
 
 
 @dataclass(frozen=True)
-class Plane:
+class PaperFigure:
     """One of the paper's figures.
 
     Attributes:
         name: of the figure.
-        x, y, third: columns of the features.
-        values: of the third feature, one for each upper panel.
+        plane: of two features; each value of the third has an upper panel.
         lines: values of x of the lower panels, which run along y at the middle value of the third feature.
     """
 
     name: str
-    x: int
-    y: int
-    third: int
-    values: tuple[float, ...]
+    plane: Plane
     lines: tuple[float, float, float]
 
 
-PLANES = (
-    Plane("figure3", x=1, y=0, third=2, values=(0.11, 0.16, 0.25), lines=(1.0, 1.5, 2.5)),
-    Plane("figure4", x=2, y=0, third=1, values=(1.0, 1.5, 2.5), lines=(0.11, 0.16, 0.25)),
-    Plane("figure5", x=2, y=1, third=0, values=(0.5, 1.0, 2.0), lines=(0.11, 0.16, 0.25)),
+FIGURES = (
+    PaperFigure("figure3", Plane(x=1, y=0, third=2, values=(0.11, 0.16, 0.25)), lines=(1.0, 1.5, 2.5)),
+    PaperFigure("figure4", Plane(x=2, y=0, third=1, values=(1.0, 1.5, 2.5)), lines=(0.11, 0.16, 0.25)),
+    PaperFigure("figure5", Plane(x=2, y=1, third=0, values=(0.5, 1.0, 2.0)), lines=(0.11, 0.16, 0.25)),
 )
 """The paper's figures; it states μ/A_p = 0.11, the other values are round numbers where Table 1 has many designs."""
 
@@ -129,18 +126,18 @@ class _Slices:
 
 
 @styled()
-def plot_plane(plane: Plane, process: "PaperProcess") -> Figure:
+def plot_plane(of_paper: PaperFigure, process: "PaperProcess") -> Figure:
     """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
-    F = process.F
+    F, plane = process.F, of_paper.plane
     slices = _Slices(plane, process, axis_limits(F[:, plane.x]), axis_limits(F[:, plane.y]))
     figure = Figure(figsize=(10.0, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
     for panel, third in zip(axes[0], plane.values, strict=True):
         shades = slices.draw_contours(panel, third)
-    for line in plane.lines:
+    for line in of_paper.lines:
         axes[0][1].axvline(line, color=BLACK, linestyle=":", linewidth=1.4)
     colour_bar(figure, axes[0], shades, "P(failure)", fraction=0.02)
-    for panel, line in zip(axes[1], plane.lines, strict=True):
+    for panel, line in zip(axes[1], of_paper.lines, strict=True):
         slices.draw_line(panel, line)
     handles = [
         *outcome_handles(OUTCOMES, " (training)"),

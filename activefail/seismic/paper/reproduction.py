@@ -15,7 +15,7 @@ from activefail.pages.report.environment import markdown_environment
 from activefail.seismic.bearing.design import GRAVITY, Model
 from activefail.seismic.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.seismic.features import PAPER_FEATURES
-from activefail.seismic.figures.paper_planes import PLANES, SLICE, plot_plane
+from activefail.seismic.figures.paper_planes import FIGURES, SLICE, plot_plane
 from activefail.seismic.ida.sample_mean import Estimate, contains
 from activefail.seismic.paper import claims, published
 from activefail.seismic.paper import study as paper
@@ -293,8 +293,7 @@ def _context(study: Study) -> dict[str, Any]:
         "length_bound": f"{LENGTH_SCALE[1]:g}",
         "slice": _percent(SLICE),
         "planes": [
-            {"name": plane.name, "title": f"Figure {plane.name[-1]}", "caption": _CAPTIONS[plane.name]}
-            for plane in PLANES
+            {"name": one.name, "title": f"Figure {one.name[-1]}", "caption": _CAPTIONS[one.name]} for one in FIGURES
         ],
         "variants": [_variant(variant) for variant in study.variants],
         "variant_failures": sum(variant.data.numerical_failures for variant in study.variants),
@@ -310,7 +309,7 @@ def _context(study: Study) -> dict[str, Any]:
 
 def render(numbers: dict[str, Any]) -> str:
     """Render the page with these numbers."""
-    return markdown_environment().get_template("reproduction.md.j2").render(numbers)
+    return markdown_environment("activefail.seismic.paper").get_template("reproduction.md.j2").render(numbers)
 
 
 def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = lambda _: None) -> Path:
@@ -326,7 +325,7 @@ def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = l
     """
     stage("drawing")
     trained = paper.typical_process(study)
-    figures = {plane.name: plot_plane(plane, trained) for plane in PLANES}
+    figures = {one.name: plot_plane(one, trained) for one in FIGURES}
     y_fresh = np.tile(study.data.outcome_fresh[study.data.outcome_fresh >= 0] == 2, len(study.draws))
     pooled = {TITLES[method]: claims.process(study.draws, method, "probability").ravel() for method in METHODS}
     figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))

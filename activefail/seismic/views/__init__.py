@@ -1,0 +1,1 @@
+"""How a simulated bearing is shown on pages."""
