@@ -49,6 +49,10 @@ class SimulationError(ActivefailError):
     """The simulations failed: too many numerical failures, or workers that cannot run."""
 
 
+class SelfTestError(ActivefailError):
+    """A self-test of the installation has a wrong result."""
+
+
 class TableWarning(UserWarning):
     """A table is probably wrong, or partly outside the design space."""
 

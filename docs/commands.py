@@ -10,8 +10,8 @@ from typing import Any
 
 import typer
 
-from activefail.campaign.sections import BearingSettings
 from activefail.cli import app
+from activefail.seismic.settings import BearingSettings
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "reference" / "commands.md"

@@ -12,6 +12,7 @@ from typing import Any
 
 from activefail.campaign import sections, settings, variables
 from activefail.campaign.settings import CampaignSettings
+from activefail.seismic import settings as bearing_settings
 from activefail.seismic.hazard import sections as hazard_sections
 
 PAGE = Path(__file__).parent / "reference" / "settings.md"
@@ -37,7 +38,7 @@ Schema = dict[str, Any]
 
 def section_class(name: str) -> type:
     """The class of a section by its name."""
-    modules = (settings, sections, variables, hazard_sections)
+    modules = (settings, sections, variables, bearing_settings, hazard_sections)
     return next(vars(one)[name] for one in modules if name in vars(one))  # type: ignore[no-any-return]
 
 

@@ -1,5 +1,6 @@
 """The core works without the plug-in that ships with it, and finds those of others."""
 
+import ast
 import json
 import math
 import os
@@ -49,6 +50,62 @@ def test_without_the_plug_in_a_campaign_is_run_and_estimated(core: Path) -> None
     said(core, "run", "plate.toml", "--out", "run", "--workers", "1")
     assert "probability of failure" in said(core, "probability", "run", "--simulations", "10")
     assert "done       10 of 10 simulations" in said(core, "status", "run")
+
+
+@pytest.mark.parametrize(
+    ("text", "rules"),
+    [
+        ("", ["simulator: required, but missing", "space: required, but missing"]),
+        ("simulator = 'dfp'", ["simulator: must be a table with `python`", "space: required, but missing"]),
+    ],
+)
+def test_without_the_plug_in_a_campaign_file_must_say_what_is_simulated(
+    text: str, rules: list[str], core: Path
+) -> None:
+    program = f"from activefail.campaign.settings import parse_settings; parse_settings({text!r}, 'mine.toml')"
+    done = subprocess.run([sys.executable, "-c", program], cwd=core, capture_output=True, text=True, check=False)
+    *_, first, second = done.stderr.strip().splitlines()
+    assert [line.strip().startswith(rule) for line, rule in zip((first, second), rules, strict=True)] == [True, True]
+
+
+ALIAS = """
+import pickle
+import sys
+
+import activefail
+
+assert not any(name.startswith("activefail.seismic") for name in sys.modules)
+from activefail.bearing.design import GRAVITY, Model
+
+assert "numba" not in sys.modules
+import activefail.bearing.design as former
+import activefail.seismic.bearing.design as design
+from activefail.bearing import Bearing, outcome
+from activefail.seismic.bearing import outcome as same
+
+assert former is design and design.__spec__.name == "activefail.seismic.bearing.design" and outcome is same
+assert Model is design.Model is activefail.Model and Bearing is design.Bearing
+assert pickle.loads(pickle.dumps(Model())) == Model()
+assert pickle.loads(b"cactivefail.bearing.design\\nModel\\n.") is Model
+for missing in ("activefail.bearing.nothing", "activefail.nothing"):
+    try:
+        __import__(missing)
+    except ModuleNotFoundError as error:
+        assert error.name == missing
+    else:
+        raise AssertionError(missing)
+"""
+
+
+def test_a_package_of_a_plug_in_is_the_same_under_its_short_name() -> None:
+    done = subprocess.run([sys.executable, "-c", ALIAS], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_type_checkers_know_the_public_names_and_no_others() -> None:
+    stub = ast.parse(Path(activefail.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    names = [name.asname for one in stub.body if isinstance(one, ast.ImportFrom) for name in one.names]
+    assert sorted(map(str, names)) == sorted([*activefail.__all__, "__version__"])
 
 
 def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_path: Path) -> None:
@@ -133,7 +190,7 @@ water = { low = 0.2, high = 4.0, unit = "m" }
 """
 
 
-def test_a_hazard_of_another_field_serves_the_analyses_of_the_core(tmp_path: Path) -> None:
+def test_a_hazard_of_another_field_serves_the_analyses_of_the_core(core: Path, tmp_path: Path) -> None:
     metadata = tmp_path / "flood-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: flood\nVersion: 1.0\n")
@@ -142,12 +199,11 @@ def test_a_hazard_of_another_field_serves_the_analyses_of_the_core(tmp_path: Pat
     (tmp_path / "levee.toml").write_text(LEVEE)
     (tmp_path / "levee.py").write_text("def run(d):\n    return d['crest'] - d['settlement'] - d['water']\n")
     (tmp_path / "river.toml").write_text("[flood]\nname = 'the river'\nmedian = 1.0\n")
-    package = Path(activefail.__file__).parents[1]
 
     def answer(*words: str) -> str:
-        return said(tmp_path, *words, "--hazard", "river.toml", beside=package)
+        return said(tmp_path, *words, "--hazard", "river.toml", beside=core)
 
-    said(tmp_path, "run", "levee.toml", "--out", "levee-run", "--workers", "1", beside=package)
+    said(tmp_path, "run", "levee.toml", "--out", "levee-run", "--workers", "1", beside=core)
     text = answer("probability", "levee-run", "--fixed", "crest=1.25", "--json")
     # The settled crest is at about the median of the water.
     assert 0.4 < json.loads(text)["outcomes"]["failure"]["probability"] < 0.6

@@ -12,17 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign import sections
-from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
 from activefail.campaign.variables import SetVariable
 from activefail.errors import InputError, description_of, place_of
 from activefail.learning.features import CustomFeatures, ExpressionFeatures, FeatureMap, feature_map
-from activefail.learning.names import FeatureSet
+from activefail.plugins import brought
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
-from activefail.seismic.motions.motions import Motions, read_motions
-from activefail.seismic.simulator import DfpSimulator
 from activefail.simulators.code_folder import sha256
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.elsewhere import ElsewhereSimulator
@@ -115,11 +112,13 @@ class Campaign:
         # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         may_read = run is None or code is not None
-        settings = settings.completed(code or Path.cwd(), read_motions if may_read else None)
-        space = _with_motions(settings.design_space(), settings, may_read)
+        settings = settings.completed(code or Path.cwd(), _read_set if may_read else None)
+        space = _with_sets(settings.design_space(), settings, may_read)
         sources: dict[str, str] = {}
         if simulator is None:
-            _check_bearing(settings)
+            for one in settings.named.values():
+                if one not in settings.used:
+                    one.check_unused()
             simulator, sources = _simulator(settings, space, code, run)
             _check_names(space, simulator)
         for boundary in settings.acquisition.boundaries:
@@ -131,18 +130,18 @@ class Campaign:
             check_enough_designs(space, settings.sampling.budget)
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
-        mapped = feature_map(features, space, settings.bearing.model(), check_features)
+        model = next((one.model() for one in settings.used if features in one.features), None)
+        mapped = feature_map(features, space, model, check_features)
         learner = {}
         for key, reference in _learner_references(settings).items() if custom_features else ():
             learner[key], sources[key] = load_function(reference, code, key, run)
-        if isinstance(simulator, DfpSimulator):
-            mapped = replace(mapped, harmless=simulator.harmless)
+        mapped = replace(mapped, harmless=getattr(simulator, "harmless", None))
         asked = question_of(settings.question, space)
         return cls(settings, space, simulator, mapped, asked, sources | source, code, learner)
 
     @property
     def time_limit(self) -> float | None:
-        """Time limit of one simulation [s]; None for the bearing, and if no limit is set."""
+        """Time limit of one simulation [s]; None for one that a plug-in brings, and if no limit is set."""
         simulator = self.settings.simulator
         return simulator.time_limit if isinstance(simulator, sections.CustomSimulatorSettings) else None
 
@@ -195,8 +194,8 @@ class Campaign:
                 return (COMMAND_KEY,)
             case sections.ElsewhereSettings():
                 return ()
-            case _:
-                return (BEARING_SOURCES,)
+            case name:
+                return tuple(self.settings.named[name].sources())
 
     @property
     def is_elsewhere(self) -> bool:
@@ -285,15 +284,31 @@ class Campaign:
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
 
 
-def _with_motions(space: DesignSpace, settings: CampaignSettings, may_read: bool) -> DesignSpace:
+def _read_set(variable: str, place: str, unit: str | None, dt: float | None) -> Any:
+    """What a plug-in reads for a variable with a set (`variables.ReadSet`).
+
+    Raises:
+        InputError: if none does, or the set cannot be read.
+    """
+    return _motions(variable).read(variable, place, unit, dt)
+
+
+def _motions(variable: str) -> Any:
+    """The plug-in's class of the records behind a variable (`Payload`), with a method `read`."""
+    sets = brought("sets")
+    if "motions" not in sets:
+        raise InputError(f"space.{variable}.set: requires a plug-in that reads sets of ground motions.")
+    return sets["motions"]
+
+
+def _with_sets(space: DesignSpace, settings: CampaignSettings, may_read: bool) -> DesignSpace:
     """The design space with the motions of its sets; these are read when they are needed."""
     parameters = []
     for one in space.parameters:
         if isinstance(entry := settings.space[one.name], SetVariable):
             level, measure = next(iter((entry.scaled_to or {"": "factor"}).items()))
-            digest = entry.digest or ""
-            motions = Motions(one.name, entry.set, entry.unit, entry.dt, digest, level, measure, may_read)
-            one = replace(one, payload=motions)
+            of_set = one.name, entry.set, entry.unit, entry.dt, entry.digest or "", level, measure, may_read
+            one = replace(one, payload=_motions(one.name)(*of_set))
         parameters.append(one)
     return replace(space, parameters=tuple(parameters))
 
@@ -304,7 +319,7 @@ def _simulator(
     """The simulator in the settings, and the digest of its source, or of its program's files."""
     spec = settings.simulator
     if isinstance(spec, str):
-        return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
+        return settings.named[spec].simulator(space), {}
     returns = tuple(spec.outcomes), tuple(spec.margins)
     lost: dict[str, Any] = {
         "failing": spec.causes_that_mean("failure"),
@@ -333,7 +348,7 @@ def _simulator(
 
 def _features(
     settings: CampaignSettings, code: Path | None, run: Path | None, custom: bool
-) -> tuple[FeatureSet | CustomFeatures | ExpressionFeatures, dict[str, str]]:
+) -> tuple[str | CustomFeatures | ExpressionFeatures, dict[str, str]]:
     """The features in the settings, and the digest of their source if they are a Python function."""
     match settings.classifier.features:
         case sections.PythonFeaturesSettings() if not custom:
@@ -389,15 +404,3 @@ def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
         raise InputError(
             f"stop.probability: must be the outcome of a target boundary ({known}), got {rule.probability!r}."
         )
-
-
-def _check_bearing(settings: CampaignSettings) -> None:
-    """Reject bearing settings that nothing would use. Frozen settings contain the defaults, which are accepted."""
-    if settings.simulator == "dfp" or settings.classifier.features in ("sliding", "collision"):
-        return
-    default = sections.BearingSettings()
-    for key, value in settings.bearing:
-        if value != getattr(default, key):
-            raise InputError(
-                f'bearing.{key}: requires `simulator = "dfp"`, or the features `sliding` or `collision`, got {value!r}.'
-            )

@@ -23,13 +23,13 @@ class Deaggregation(Protocol):
     header: ClassVar[tuple[str, ...]]
     """Names of the columns of `table`."""
 
+    figure: ClassVar[str]
+    """Name of the plug-in's function in `figures` that draws the failures beyond a boundary; it gives None if they are
+    too rare."""
+
     @property
     def probability(self) -> float:
         """Of failure under the whole hazard, by the classifier."""
-
-    @property
-    def figure(self) -> str | None:
-        """Name of the plug-in's figure of it; None if it has none to show."""
 
     @property
     def numbers(self) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def create_folder(folder: Path, campaign: Campaign) -> FolderStore:
         folder,
         campaign.settings.text(),
         campaign.schema,
-        provenance=provenance() | campaign.sources,
+        provenance=provenance(campaign.settings.used) | campaign.sources,
         decisive=campaign.decisive,
     )
 
@@ -75,7 +75,7 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
         folder,
         campaign.schema,
         write=write,
-        provenance=provenance() | campaign.sources,
+        provenance=provenance(campaign.settings.used) | campaign.sources,
         decisive=campaign.decisive,
     )
     designs = store.asked.designs

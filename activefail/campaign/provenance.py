@@ -2,15 +2,13 @@
 
 import os
 import platform
+from collections.abc import Collection
 from functools import cache
 from importlib.metadata import version
 
-from activefail.seismic.bearing.kernels import compiler_options, physics_digest
+from activefail.campaign.named import NAMED, NamedSettings
 from activefail.version import __version__
 from activefail.visible import visible
-
-BEARING_SOURCES = "bearing_sources"
-"""The entry for the digest of the bearing's physics."""
 
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
@@ -41,24 +39,30 @@ def simulation_versions() -> dict[str, str]:
         "activefail": __version__,
         "python": platform.python_version(),
         **{name: _version(name) for name in ("numpy", "numba")},
-        BEARING_SOURCES: physics_digest(),
-        "numba_options": compiler_options(),
+        **{name: text for one in NAMED.values() for name, text in (one.sources() | one.options()).items()},
     }
 
 
-def provenance() -> dict[str, str]:
-    """Versions of Python, numerical packages and physics; number of threads; processor; options of the libraries."""
+def provenance(used: Collection[type[NamedSettings] | NamedSettings] | None = None) -> dict[str, str]:
+    """Versions of Python and numerical packages; digests; number of threads; processor; options of the libraries.
+
+    Args:
+        used: what plug-ins bring of which the record has sources and options; all if None.
+    """
+    used = NAMED.values() if used is None else used
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
     record |= {name: _version(name) for name in _PACKAGES}
     import llvmlite.binding as llvm
 
-    record[BEARING_SOURCES] = physics_digest()
+    for one in used:
+        record |= one.sources()
     record["processor"] = llvm.get_host_cpu_name()
     # Numba compiles for these features; two machines of the same name can differ in them.
     record["processor_features"] = ",".join(
         sorted(name for name, present in llvm.get_host_cpu_features().items() if present)
     )
-    record["numba_options"] = compiler_options()
+    for one in used:
+        record |= one.options()
     options = [f"{name}={visible(os.environ[name])}" for name in _LIBRARY_OPTIONS if name in os.environ]
     record["library_options"] = " ".join(options) or "defaults"
     return record

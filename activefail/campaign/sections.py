@@ -2,68 +2,18 @@
 
 import itertools
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from activefail.campaign.section import NAME, WITH, Section, built, by_key, name_or
+from activefail.campaign.named import DEFAULTS
+from activefail.campaign.section import NAME, WITH, Section, by_key, name_or
 from activefail.campaign.variables import AnyVariable, FixedVariable
-from activefail.learning.names import Criterion, FeatureSet, Kernel
-from activefail.seismic.bearing.design import (
-    RELATIVE_TOLERANCES,
-    WIDEST_REGULARISATION,
-    WIDEST_SLIDER,
-    Model,
-    Tolerance,
-)
+from activefail.learning.names import FEATURE_SETS, Criterion, Kernel
+from activefail.plugins import brought
 from activefail.simulators.interface import EXECUTION_CAUSES, ExecutionCause
 from activefail.space.parameter import LARGEST
 from activefail.space.systems import System, parse_system
-
-
-class BearingSettings(Section):
-    """Settings of the double friction pendulum (`activefail.seismic.bearing.Model` and `Tolerance`).
-
-    Attributes:
-        slider_diameter: D_sl [m], which Table 1 does not contain.
-        restitution_coefficient: coefficient of restitution of the contacts, for the mass in the damper.
-        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate
-            ([contact](../bearing.md#contact)).
-        slider_density: density of the slider [kg/m³].
-        friction_velocity: velocity over which Coulomb friction is regularised [m/s].
-        loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
-        rim: "rigid", as published; "breaking" at `rim_strength`; "yielding" there, and broken at `rim_deformation`;
-            or "none", a flat plate ([rims that yield and break](../bearing.md#rims-that-yield-and-break)).
-        rim_strength: largest normal force on a rim, divided by the weight on the bearing; required with a rim that
-            breaks or yields.
-        rim_deformation: plastic deformation at which a yielding rim breaks [m]; required with one.
-        tolerance: relative error per step of the integration.
-    """
-
-    slider_diameter: float = Field(0.30, gt=0.0, lt=WIDEST_SLIDER)
-    restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
-    restitution: Literal["pairwise", "assembly"] = "pairwise"
-    slider_density: float = Field(7850.0, gt=0.0)
-    friction_velocity: float = Field(1e-3, gt=0.0, le=WIDEST_REGULARISATION)
-    loss_of_confinement: bool = True
-    rim: Literal["rigid", "breaking", "yielding", "none"] = "rigid"
-    rim_strength: float | None = Field(None, ge=0.0)
-    rim_deformation: float | None = Field(None, gt=0.0)
-    tolerance: float = Field(1e-4, ge=RELATIVE_TOLERANCES[0], le=RELATIVE_TOLERANCES[1])
-
-    @model_validator(mode="after")
-    def _is_a_model(self) -> Self:
-        built(self.model)
-        return self
-
-    def model(self) -> Model:
-        """The bearing model."""
-        return Model(**self.model_dump(exclude={"tolerance"}))
-
-    def integration(self) -> Tolerance:
-        """The tolerance of the integration."""
-        return Tolerance(relative=self.tolerance)
-
 
 _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")]
 """A Python function, "module:function"."""
@@ -432,6 +382,15 @@ StopRule = Annotated[
 """A stop rule; `activefail.loop.stop_rule` says whether it is met."""
 
 
+_FEATURES = DEFAULTS.get("features", "design")
+
+if TYPE_CHECKING:
+    _FeatureSet = str
+else:
+    # The default, the core's, those of plug-ins.
+    _FeatureSet = Literal[tuple(dict.fromkeys([_FEATURES, *FEATURE_SETS, *brought("features")]))]
+
+
 class ClassifierSettings(Section):
     """Features of the classifier, the smoothness of its boundaries, and what these are learned from.
 
@@ -447,11 +406,11 @@ class ClassifierSettings(Section):
     """
 
     features: Annotated[
-        Annotated[FeatureSet, Tag(NAME)]
+        Annotated[_FeatureSet, Tag(NAME)]
         | Annotated[PythonFeaturesSettings, Tag(f"{WITH}python")]
         | Annotated[ExpressionFeaturesSettings, Tag(f"{WITH}expressions")],
         by_key(KINDS["features"]),
-    ] = "paper"
+    ] = _FEATURES
     kernel: Annotated[
         Annotated[Kernel, Tag(NAME)] | Annotated[PythonSettings, Tag(f"{WITH}python")], by_key(KINDS["kernel"])
     ] = "rbf"

@@ -4,18 +4,18 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import tomli_w
-from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, Tag, ValidationError, ValidationInfo, create_model, field_validator, model_validator
 
 from activefail.campaign.broken_rules import broken_rule
+from activefail.campaign.named import DEFAULTS, NAMED, NamedSettings
 from activefail.campaign.section import NAME, WITH, Section, by_key
 from activefail.campaign.sections import (
     KINDS,
     AcquisitionSettings,
-    BearingSettings,
     ClassifierSettings,
     CommandSimulatorSettings,
     ElsewhereSettings,
@@ -31,9 +31,8 @@ from activefail.campaign.sections import (
     Validation,
     usual_initial,
 )
-from activefail.campaign.variables import AnyVariable, FixedVariable, ReadSet, SetVariable, Variable
+from activefail.campaign.variables import AnyVariable, FixedVariable, ReadSet, SetVariable
 from activefail.errors import InputError
-from activefail.seismic.bearing.design import TABLE_1
 from activefail.space.expressions import parse_constraint
 from activefail.space.space import Constraint, DesignSpace, radius
 from activefail.text.trust import read_regular
@@ -67,22 +66,51 @@ def _constraint(text: str, space: Mapping[str, AnyVariable]) -> Constraint:
     return parse_constraint(text, space, carriers, [name for name, one in space.items() if one.has_texts])
 
 
-def _table_1() -> dict[str, AnyVariable]:
-    return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
-
-
 IF_CALLED = "requires a simulator that activefail can call, not `elsewhere`"
 IF_REPEATABLE = "requires a simulator that repeats: with noise, no design is simply wrong"
 """Rule of what counts wrong designs."""
 
 
-class CampaignSettings(Section):
-    """The definition of a campaign; with the same versions and threads it gives the same bits.
+_Custom = (
+    Annotated[PythonSimulatorSettings, Tag(f"{WITH}python")]
+    | Annotated[CommandSimulatorSettings, Tag(f"{WITH}command")]
+    | Annotated[ElsewhereSettings, Tag(f"{WITH}elsewhere")]
+)
+
+if TYPE_CHECKING:
+    _Simulator = str | PythonSimulatorSettings | CommandSimulatorSettings | ElsewhereSettings
+elif NAMED:
+    _Simulator = Annotated[Annotated[Literal[tuple(NAMED)], Tag(NAME)] | _Custom, by_key(KINDS["simulator"])]
+else:
+    _Simulator = Annotated[_Custom, by_key(KINDS["simulator"], otherwise="")]
+
+
+class _Simulated(Section):
+    """The first keys of a campaign file, before the sections of plug-ins.
 
     Attributes:
         description: one line, which `status` shows.
         seed: seed of all random numbers.
         simulator: "dfp", the double friction pendulum bearing, or a table of a custom simulator.
+    """
+
+    description: str = ""
+    seed: int = Field(0, ge=0, lt=2**63)
+    simulator: _Simulator = Field(DEFAULTS.get("simulator", ...))
+
+
+if TYPE_CHECKING:
+    _WithSections = _Simulated
+else:
+    _WithSections = create_model(
+        "_WithSections", __base__=_Simulated, **{one.section: (one, one()) for one in NAMED.values()}
+    )
+
+
+class CampaignSettings(_WithSections):
+    """The definition of a campaign; with the same versions and threads it gives the same bits.
+
+    Attributes:
         bearing: model of the bearing.
         space: variables and fixed quantities by name. If all are of the bearing, those left out are as in Table 1; a
             custom simulator requires all.
@@ -97,17 +125,7 @@ class CampaignSettings(Section):
         question: other distributions, under which `activefail probability` answers.
     """
 
-    description: str = ""
-    seed: int = Field(0, ge=0, lt=2**63)
-    simulator: Annotated[
-        Annotated[Literal["dfp"], Tag(NAME)]
-        | Annotated[PythonSimulatorSettings, Tag(f"{WITH}python")]
-        | Annotated[CommandSimulatorSettings, Tag(f"{WITH}command")]
-        | Annotated[ElsewhereSettings, Tag(f"{WITH}elsewhere")],
-        by_key(KINDS["simulator"]),
-    ] = "dfp"
-    bearing: BearingSettings = BearingSettings()
-    space: Annotated[dict[str, AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
+    space: Annotated[dict[str, AnyVariable], Field(min_length=1)] = Field(default_factory=dict)
     correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] = Field(default_factory=list)
     constraints: list[str] = Field([], max_length=100)
     sampling: Sampling = Sampling()
@@ -126,7 +144,10 @@ class CampaignSettings(Section):
         Features are the variables, decorrelated if two are strongly correlated, and the target boundary is that of the
         most severe outcome; `space` has no default.
         """
-        if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
+        if not isinstance(values, dict):
+            return values
+        values = {"space": None} | values
+        if not isinstance(values.get("simulator"), dict):
             return values
         features = "decorrelated" if _is_strong(values.get("correlation")) else "design"
         defaults: dict[str, dict[str, Any]] = {"classifier": {"features": features}}
@@ -148,19 +169,22 @@ class CampaignSettings(Section):
             table = values.get(section, {})
             if isinstance(table, dict):
                 values = values | {section: default | table}
-        return {"space": None} | values
+        return values
 
     @field_validator("space", mode="before")
     @classmethod
     def _of_the_simulator(cls, space: Any, info: ValidationInfo) -> Any:
+        # An invalid simulator has its own error.
+        simulator = info.data.get("simulator", DEFAULTS.get("simulator"))
+        default = NAMED[simulator].default_space() if isinstance(simulator, str) else {}
         if space is not None:
-            # Of the bearing, what the file leaves out is as in Table 1.
-            others = _table_1() if info.data.get("simulator") == "dfp" else {}
-            is_part = isinstance(space, dict) and space and space.keys() <= others.keys()
-            return space | {name: one for name, one in others.items() if name not in space} if is_part else space
-        if "simulator" in info.data:
-            raise ValueError("required with a custom simulator")
-        return _table_1()  # `simulator` is invalid and has its own error
+            # Of variables that are all a plug-in's, what the file leaves out is as it says.
+            is_part = isinstance(space, dict) and space and space.keys() <= default.keys()
+            return space | {name: one for name, one in default.items() if name not in space} if is_part else space
+        if not default:
+            is_custom = "simulator" in info.data
+            raise ValueError("required with a custom simulator" if is_custom else "required, but missing")
+        return default
 
     @field_validator("space")
     @classmethod
@@ -214,6 +238,17 @@ class CampaignSettings(Section):
     def probability_rule(self) -> ProbabilityStop | None:
         """The stop rule, if it asks for a probability."""
         return self.stop if isinstance(self.stop, ProbabilityStop) else None
+
+    @property
+    def named(self) -> dict[str, NamedSettings]:
+        """The settings of the simulators that plug-ins bring, by their names."""
+        return {name: getattr(self, one.section) for name, one in NAMED.items()}
+
+    @property
+    def used(self) -> list[NamedSettings]:
+        """Those that the campaign uses, for its simulations or its features."""
+        features = self.classifier.features
+        return [one for name, one in self.named.items() if name == self.simulator or features in one.features]
 
     @property
     def needs_code(self) -> bool:

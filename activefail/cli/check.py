@@ -42,7 +42,6 @@ def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
 
 def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     """What the campaign file says, as titles and texts."""
-    from activefail.seismic.motions.motions import Motions
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.function import PythonSimulator
     from activefail.space.shares import choices_with_shares, feasible_share
@@ -53,8 +52,7 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
             yield "variable", f"{one.label}: {choices_with_shares(one)}"
             for name, numbers in one.features:
                 yield "feature", f"{name} = {', '.join(f'{number:g}' for number in numbers)}"
-            if isinstance(one.payload, Motions):
-                yield from (("note", note) for note in one.payload.found.notes)
+            yield from (("note", note) for note in getattr(one.payload, "notes", ()))
             continue
         steps = "" if one.step is None else f" in steps of {one.step:g}"
         yield "variable", f"{one.label}: {one.low:g} to {one.high:g}{steps}, {one.distribution.replace('_', ' ')}"
@@ -78,8 +76,7 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
                     f"$AF_{lost[0]}",
                 )
         case _:
-            bearing = "the double friction pendulum bearing"
-            yield "simulator", "elsewhere; nothing is simulated here" if campaign.is_elsewhere else bearing
+            yield "simulator", getattr(simulator, "title", "elsewhere; nothing is simulated here")
     boundaries = ", ".join(campaign.settings.acquisition.boundaries)
     yield "outcomes", f"{', '.join(simulator.outcomes)}; sought is the boundary of {boundaries}"
     if campaign.system is not None:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from activefail.errors import SelfTestError
+from activefail.plugins import brought
 from activefail.visible import visible
 
 _LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
@@ -48,8 +50,9 @@ def diagnosis() -> Iterator[Finding]:
     yield Finding("libraries", ", ".join(f"{name} {_version(name)}" for name in _LIBRARIES))
     yield _cores()
     yield from map(_extra, _EXTRAS)
-    yield _kernels()
-    for title, test in (("simulator", _simulator), ("campaign", _campaign)):
+    for title, fact in brought("facts").items():
+        yield Finding(title, fact())
+    for title, test in {**brought("self_tests"), "campaign": _campaign}.items():
         yield _tested(title, test)
 
 
@@ -85,17 +88,6 @@ def _extra(extra: str) -> Finding:
     return Finding(extra, f"installed ({_EXTRAS[extra]})")
 
 
-def _kernels() -> Finding:
-    """Where compiled kernels are kept."""
-    from activefail.seismic.bearing.simulation import integrate
-
-    folder = getattr(integrate._cache, "cache_path", None)
-    if folder is None:
-        return Finding("kernels", "not kept: no private folder can be written, so each process compiles the simulator")
-    kept = any(Path(folder).glob("*.nbi"))
-    return Finding("kernels", f"{'kept' if kept else 'will be compiled now, some 20 s, and kept'} in {visible(folder)}")
-
-
 def _tested(title: str, test: Callable[[], str]) -> Finding:
     began = time.perf_counter()
     try:
@@ -103,23 +95,6 @@ def _tested(title: str, test: Callable[[], str]) -> Finding:
     except Exception as error:
         return Finding(title, f"fails: {type(error).__name__}: {visible(str(error))}", is_fault=True)
     return Finding(title, f"{text} ({time.perf_counter() - began:.1f} s)")
-
-
-class SelfTestError(Exception):
-    """A self-test whose result is wrong."""
-
-
-def _simulator() -> str:
-    """Simulate two bearings, of which one survives and one fails."""
-    from activefail.seismic.bearing import simulate
-
-    # T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p in the units of Table 1.
-    weak = [3.0, 0.05, 0.45, 0.5, 0.05, 40.0, 1e9, 3.0, 0.8]
-    strong = [3.0, 0.12, 0.85, 0.5, 0.2, 40.0, 1e9, 0.3, 0.1]
-    outcomes = simulate(np.array([weak, strong])).outcome.tolist()
-    if outcomes != [2, 0]:
-        raise SelfTestError(f"the outcomes of two bearings are {outcomes}, not [2, 0]")
-    return "two bearings have the right outcomes"
 
 
 def _campaign() -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, description_of, place_of
+from activefail.learning.names import FEATURE_SETS
 from activefail.plugins import brought
 from activefail.space.expressions import Expression, check_no_texts, parse_expression
 from activefail.space.parameter import Parameter
@@ -22,9 +23,6 @@ _EQUAL = 1e-3
 
 FARTHEST = 1e9
 """Most standard deviations from its mean of a feature of a design to learn from: beyond, squares lose the space."""
-
-FEATURE_SETS = ("design", "decorrelated")
-"""Names of the features that need no plug-in."""
 
 
 @dataclass(frozen=True)

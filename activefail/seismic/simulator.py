@@ -41,6 +41,7 @@ class DfpSimulator:
     margins = o.COLUMNS
     releases_gil = True
     noun = "bearing"
+    title = "the double friction pendulum bearing"
     quantities = VARIABLES
     view = "dfp"
 

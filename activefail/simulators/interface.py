@@ -113,10 +113,11 @@ class Simulator(Protocol):
     (int) are those that each simulation uses. `failing` and `impossible` (tuples of codes of causes) say which lost
     runs are failures (`settled`), and which are designs that do not exist. `space` (DesignSpace) has the names of a
     design's values, and `folder_of(x)` the folder of a design, (d,), for messages. `check(X)` raises an InputError if
-    one of the designs can have no result at all, such as one with a negative friction. `noun` is what a design
-    describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name (`Quantity`),
-    `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view (`pages/view.py`).
-    `terms(quantities)` gives a design in the designer's terms (`Terms`), from its quantities by name
+    one of the designs can have no result at all, such as one with a negative friction. `harmless(X)` says which
+    designs, (n, d) -> (n,), have the least severe outcome for certain. `title` names the simulator in words, `noun` is
+    what a design describes, such as "bearing", `quantities` are symbols, units and meanings of variables by name
+    (`Quantity`), `limits` are sentences on what the model leaves out, and `view` is the name of a plug-in's view
+    (`pages/view.py`). `terms(quantities)` gives a design in the designer's terms (`Terms`), from its quantities by name
     (`DesignSpace.quantities`); None if some lack.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.

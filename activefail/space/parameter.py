@@ -137,7 +137,10 @@ def _normal_quantile(p: Array, q: Array) -> Array:
 
 
 class Payload(Protocol):
-    """What the choices of a variable stand for, such as the records of a set. To pickle it pickles no object."""
+    """What the choices of a variable stand for, such as the records of a set. To pickle it pickles no object.
+
+    Its optional attribute `notes` are sentences on the objects, which `activefail check` shows.
+    """
 
     @property
     def level(self) -> str:

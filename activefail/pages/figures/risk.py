@@ -44,8 +44,9 @@ def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Qua
     _draw_curves(axes, findings, shown)
     legend_outside(figure)
     figures, deaggregation = {"fragility": figure}, findings.boundaries[-1].deaggregation
-    if deaggregation is not None and deaggregation.figure is not None:
-        figures["pulses"] = brought("figures")[deaggregation.figure](deaggregation, findings.boundaries[-1].outcome)
+    if deaggregation is not None:
+        drawn = brought("figures")[deaggregation.figure](deaggregation, findings.boundaries[-1].outcome)
+        figures |= {} if drawn is None else {deaggregation.figure: drawn}
     return figures
 
 

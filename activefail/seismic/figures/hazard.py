@@ -129,14 +129,10 @@ def _curve(axes: Axes, summary: HazardSummary) -> None:
 
 
 @styled()
-def plot_pulses(deaggregation: Deaggregation, outcome: str) -> Figure:
-    """The pulses that cause an outcome under a hazard: shares in bins of T_p and PGV.
-
-    Args:
-        deaggregation: of an outcome that is not too rare.
-        outcome: its name.
-    """
-    assert deaggregation.failures is not None
+def plot_pulses(deaggregation: Deaggregation, outcome: str) -> Figure | None:
+    """The pulses that cause an outcome under a hazard: shares in bins of T_p and PGV; None if it is too rare."""
+    if deaggregation.failures is None:
+        return None
     figure, axes = panel(*SIZE)
     shares = 100.0 * deaggregation.failures.share.T
     mesh = axes.pcolormesh(deaggregation.period, deaggregation.velocity, shares, cmap="Greys", vmin=0.0)

@@ -63,6 +63,7 @@ class Deaggregation:
     pulses: Share
     failures: Share | None
 
+    figure: ClassVar[str] = "pulses"
     header: ClassVar[tuple[str, ...]] = (
         "T_p_from",
         "T_p_to",
@@ -71,11 +72,6 @@ class Deaggregation:
         "share_of_failures",
         "share_of_pulses",
     )
-
-    @property
-    def figure(self) -> str | None:
-        """The name of its figure; None if failure is too rare."""
-        return None if self.failures is None else "pulses"
 
     @property
     def numbers(self) -> dict[str, Any]:

@@ -207,7 +207,7 @@ def check_campaign(campaign: Campaign, values: Mapping[str, float], model: Model
             f"--campaign: must be a campaign under pulses, with the variables {', '.join(TABLE_1.names)} and the "
             f"outcomes {', '.join(OUTCOMES)}; got {', '.join(known)} and {', '.join(outcomes)}."
         )
-    if campaign.settings.bearing.model() != model:
+    if campaign.settings.named["dfp"].model() != model:
         raise InputError(
             "--campaign: its [bearing] settings differ from this command's options. Give this command the same values."
         )

@@ -53,6 +53,24 @@ class Motions:
         """The set; raises as a call does."""
         return _read(self)
 
+    @property
+    def notes(self) -> list[str]:
+        """What is worth knowing of the set; raises as a call does."""
+        return self.found.notes
+
+    @staticmethod
+    def read(variable: str, place: str, unit: str | None, dt: float | None) -> RecordSet:
+        """The records of a set for a variable.
+
+        Raises:
+            InputError: naming the variable, and as `read_record_set` does.
+        """
+        with naming(f"space.{variable}.set: "):
+            try:
+                return read_record_set(place, unit, dt)
+            except InputError as error:
+                raise InputError(str(error).replace("--unit", "`unit`").replace("--dt", "`dt`")) from None
+
     def factors(self, which: NDArray[np.intp], quantities: Mapping[str, Any]) -> Array:
         """By what the record of each design is multiplied, (n,).
 
@@ -94,26 +112,13 @@ def _read(motions: Motions) -> RecordSet:
             "else, so this folder is read only if you name the campaign file's folder with --code, or code=FOLDER in "
             "Python."
         )
-    found = read_motions(motions.variable, motions.place, motions.unit, motions.dt)
+    found = Motions.read(motions.variable, motions.place, motions.unit, motions.dt)
     if found.digest != motions.digest:
         raise InputError(
             f"space.{motions.variable}.set: the records of {motions.place} are not those of the campaign: their digest "
             f"is {found.digest}, not {motions.digest}. Restore them, or begin a new campaign."
         )
     return found
-
-
-def read_motions(variable: str, place: str, unit: str | None, dt: float | None) -> RecordSet:
-    """The records of a set for a variable.
-
-    Raises:
-        InputError: naming the variable, and as `read_record_set` does.
-    """
-    with naming(f"space.{variable}.set: "):
-        try:
-            return read_record_set(place, unit, dt)
-        except InputError as error:
-            raise InputError(str(error).replace("--unit", "`unit`").replace("--dt", "`dt`")) from None
 
 
 @cache

@@ -12,7 +12,6 @@ from activefail.pages.view import Picture
 from activefail.seismic.bearing import Response
 from activefail.seismic.bearing.design import TABLE_1, Model, Tolerance
 from activefail.seismic.bearing.motion import Motion, describe_outcome
-from activefail.seismic.bearing.terms import Terms
 from activefail.seismic.figures.motion import plot_snapshots
 from activefail.seismic.simulator import DfpSimulator
 from activefail.seismic.views.film import film, fragment, histories
@@ -56,8 +55,7 @@ class BearingView:
 
     def _terms(self, X: Array) -> str:
         space = self.simulator.space
-        quantities = space.quantities(dict(zip(space.names, X.tolist(), strict=True)))
-        terms = Terms.of(quantities, self.simulator.model)
+        terms = self.simulator.terms(space.quantities(dict(zip(space.names, X.tolist(), strict=True))))
         return "" if terms is None else terms.text
 
 

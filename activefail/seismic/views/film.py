@@ -1,13 +1,14 @@
 """The motion of one bearing for a page: a film, which is one drawing that the browser moves, and curves over time."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from activefail.pages.explorer.pages import page
 from activefail.pages.figures.svg import inline, place_of
-from activefail.pages.report.environment import page_environment
 from activefail.seismic.bearing.motion import Motion
 from activefail.seismic.figures.motion import (
     VERTEX_MARKS,
@@ -19,7 +20,8 @@ from activefail.seismic.figures.motion import (
 )
 from activefail.space.space import Array
 
-_TEMPLATES = page_environment("activefail.seismic.views", "activefail.pages.explorer")
+fragment = partial(page, package=__package__)
+"""Renders a template of this package."""
 
 _FRAMES = 240
 
@@ -28,11 +30,6 @@ _LONGEST = 10.0
 
 _SHAPES = {"o": "M-1,0a1,1 0 1 0 2,0a1,1 0 1 0 -2,0Z", "s": "M-1,-1h2v2h-2Z", "D": "M-1.3,0L0,1.3L1.3,0L0,-1.3Z"}
 """Outlines of matplotlib's markers."""
-
-
-def fragment(name: str, **values: Any) -> Markup:
-    """Render a template of a part of a page."""
-    return Markup(_TEMPLATES.get_template(f"{name}.html.j2").render(values))
 
 
 def film(motion: Motion) -> Markup:
