@@ -1,5 +1,6 @@
 """The core works without the plug-in that ships with it, and finds those of others."""
 
+import ast
 import json
 import math
 import os
@@ -124,6 +125,12 @@ for missing in ("activefail.bearing.nothing", "activefail.nothing"):
 def test_a_package_of_a_plug_in_is_the_same_under_its_short_name() -> None:
     done = subprocess.run([sys.executable, "-c", ALIAS], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_type_checkers_know_the_public_names_and_no_others() -> None:
+    stub = ast.parse(Path(activefail.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    names = [name.asname for one in stub.body if isinstance(one, ast.ImportFrom) for name in one.names]
+    assert sorted(map(str, names)) == sorted([*activefail.__all__, "__version__"])
 
 
 def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from activefail.errors import InputError, naming
-from activefail.learning.names import INTENSITIES
 from activefail.run.analyses import EXECUTOR, FIXED, SCHEDULER, WORKERS
 from activefail.run.analysis import REQUIRED, Option, analysis, option
+from activefail.seismic.motions.measures import INTENSITIES
 from activefail.session.arguments import executor_named
 from activefail.session.session import Session, check_initial_design, local_executor
 from activefail.text.files import path_of

@@ -1,4 +1,4 @@
-"""Measures of the intensity of a record; `activefail.learning.names.INTENSITIES` has their names and units."""
+"""Measures of the intensity of a record; `measures.INTENSITIES` has their names and units."""
 
 import math
 from dataclasses import dataclass
@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 
 from activefail.errors import InputError
-from activefail.learning.names import INTENSITIES, IntensityKind
 from activefail.seismic.bearing.accelerogram import Accelerogram
 from activefail.seismic.bearing.design import GRAVITY
+from activefail.seismic.motions.measures import INTENSITIES, IntensityKind
 from activefail.space.space import Array
 from activefail.visible import visible
 
