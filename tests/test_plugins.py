@@ -31,9 +31,25 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def said(core: Path, *words: str, beside: Path | None = None) -> str:
+EXPLORED = """
+from pathlib import Path
+
+from activefail.analyses.findings.results import findings_of
+from activefail.campaign.on_disk import open_campaign
+from activefail.loop.learning import current
+from activefail.pages.explorer.campaign import OneDesign, Slow
+
+folder = Path("shown")
+with open_campaign(folder, write=False) as (campaign, store):
+    findings = findings_of(folder, campaign, store, current(campaign, store, write=False).classifier)
+one = OneDesign(findings, Slow(lambda: findings.classifier, lambda: None, lambda: None))
+print("data-probability" in one.predict({"x": 0.5, "y": 0.5}), one.simulates)
+"""
+
+
+def said(core: Path, *words: str, beside: Path | None = None, program: str = "") -> str:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, filter(None, (core, beside))))}
-    command = [sys.executable, "-m", "activefail", *words]
+    command = [sys.executable, *(["-c", program] if program else ["-m", "activefail"]), *words]
     done = subprocess.run(command, cwd=core, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -50,6 +66,15 @@ def test_without_the_plug_in_a_campaign_is_run_and_estimated(core: Path) -> None
     said(core, "run", "plate.toml", "--out", "run", "--workers", "1")
     assert "probability of failure" in said(core, "probability", "run", "--simulations", "10")
     assert "done       10 of 10 simulations" in said(core, "status", "run")
+
+
+def test_without_the_plug_in_pages_are_written_and_explored(core: Path) -> None:
+    said(core, "run", "plate.toml", "--out", "shown", "--workers", "1")
+    assert "report     shown/report.html" in said(core, "report", "shown")
+    said(core, "fragility", "shown", "--against", "x", "--out", "figures")
+    for page in ("shown/report.html", "figures/fragility.html"):
+        assert not {"bearing", "pulse"} & {*(core / page).read_text().lower().split()}
+    assert said(core, program=EXPLORED) == "True False\n"
 
 
 @pytest.mark.parametrize(
