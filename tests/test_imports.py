@@ -59,6 +59,20 @@ def test_a_command_that_reads_loads_only_what_it_uses(words: list[str], unloaded
     assert not loaded & unloaded
 
 
+def test_a_campaign_with_a_custom_simulator_and_without_the_bearing_loads_no_numba(tmp_path: Path) -> None:
+    (tmp_path / "plate.py").write_text("def run(design):\n    return 1.3 - design['x'] - design['y']\n")
+    (tmp_path / "plate.toml").write_text(
+        "sampling = { initial = 10, budget = 10 }\nsimulator = { python = 'plate:run', margins = ['g'] }\n"
+        "space = { x = { low = 0, high = 1 }, y = { low = 0, high = 1 } }\n"
+    )
+    words = ["run", "plate.toml", "--out", "run", "--workers", "1"]
+    command = [sys.executable, "-c", PROGRAM, *words]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    loaded = set(result.stderr.splitlines()[-1].split())
+    assert "torch" in loaded
+    assert "numba" not in loaded
+
+
 SLOW_TO_IMPORT = """
 import os
 import threading
