@@ -215,7 +215,7 @@ def test_wherever_numba_would_keep_kernels_none_of_other_sources_or_options_runs
 ) -> None:
     before, _ = on_a_copy(**environment)
     assert on_a_copy(**environment, NUMBA_OPT="1")[1] == 0
-    pulse = tmp_path / "activefail" / "bearing" / "pulse.py"
+    pulse = tmp_path / "activefail" / "seismic" / "bearing" / "pulse.py"
     pulse.write_text(pulse.read_text().replace("PEAK = 1.38\n", "PEAK = 2.76\n"))
     assert on_a_copy(**environment) == (before / 2.0, 0)
     # None is in the folder that numba uses by default.

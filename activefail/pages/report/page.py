@@ -177,7 +177,6 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
             for column in order
         ],
         "long": LONG,
-        "explained": hasattr(campaign.simulator, "quantities"),
         "correlations": sorted({_CORRELATION[kernel] for _, _, kernel in _learned_from(findings)}),
     }
 
@@ -348,6 +347,7 @@ def render(
         "next_step": next_step,
         "verifies": _verifies(campaign),
         "commands": _commands(findings, evidence, done, risk),
+        "has_meanings": hasattr(campaign.simulator, "quantities"),
         "drawn": view_of(campaign.simulator) and noun_of(campaign.simulator).capitalize(),
         "frozen": text,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
