@@ -1,6 +1,7 @@
 """A bearing under ground-motion records: the simulator of `records.toml` (docs/records.md)."""
 
 import numpy as np
+
 from activefail.bearing import outcome as o
 from activefail.bearing import simulate_records
 

@@ -11,6 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
+
 from activefail.bearing import Bearing, Model, Pulse
 from activefail.bearing import outcome as o
 from activefail.bearing.accelerogram import STILL
@@ -19,7 +21,6 @@ from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, equilibrium, system
 from activefail.bearing.ground import acceleration
 from activefail.bearing.simulation import EVENT_STEP, FREE_PERIODS, SCALE_Q, SCALE_V
-from numba import njit
 
 DAMAGE_DRIFT = 0.005
 """Interstorey drift over the storey's height: brittle non-structural elements (EN 1998-1:2004, 4.4.3.2)."""
