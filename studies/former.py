@@ -27,6 +27,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from study import asked, head, line, timed
+
 from activefail.acquisition.batch_proposal import propose
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
@@ -35,7 +37,6 @@ from activefail.features import feature_map
 from activefail.surrogate.fitting import fit, outcome_prior
 from activefail.surrogate.latent import Latent
 from activefail.surrogate.threads import one_thread
-from study import asked, head, line, timed
 
 CELLS = ("cold", "warm", "again", "pool", "entropy", "eavc")
 
