@@ -29,14 +29,14 @@ import numpy as np
 import torch
 from study import asked, head, line, timed
 
-from activefail.acquisition.batch_proposal import propose
-from activefail.acquisition.criteria import criterion
-from activefail.bearing import TABLE_1, simulate
-from activefail.bearing.outcome import FAILURE
-from activefail.features import feature_map
-from activefail.surrogate.fitting import fit, outcome_prior
-from activefail.surrogate.latent import Latent
-from activefail.surrogate.threads import one_thread
+from activefail.learning.criteria.batch_proposal import propose
+from activefail.learning.criteria.criteria import criterion
+from activefail.learning.features import feature_map
+from activefail.learning.model.fitting import fit, outcome_prior
+from activefail.learning.model.latent import Latent
+from activefail.learning.model.threads import one_thread
+from activefail.seismic.bearing import TABLE_1, simulate
+from activefail.seismic.bearing.outcome import FAILURE
 
 CELLS = ("cold", "warm", "again", "pool", "entropy", "eavc")
 
