@@ -115,6 +115,7 @@ RUN = {
     "docs/cluster.md": "test_code_in_docs.py",
     "docs/distributions.md": "test_code_in_docs.py",
     "docs/probability.md": "test_code_in_docs.py",
+    "docs/plugins.md": "test_plugins.py",
     "docs/records.md": "test_code_in_docs.py",
 }
 """The test file that runs or reads the blocks of a page. Of other blocks:

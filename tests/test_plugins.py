@@ -4,9 +4,11 @@ import ast
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -133,109 +135,38 @@ def test_type_checkers_know_the_public_names_and_no_others() -> None:
     assert sorted(map(str, names)) == sorted([*activefail.__all__, "__version__"])
 
 
-def test_an_installed_package_adds_commands_by_an_entry_point(core: Path, tmp_path: Path) -> None:
-    metadata = tmp_path / "levee-1.0.dist-info"
+def blocks(language: str) -> list[str]:
+    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+
+
+def test_the_plug_in_of_the_documentation_brings_a_simulator_features_a_question_and_a_command(
+    core: Path, tmp_path: Path
+) -> None:
+    metadata, (entry, campaign, river) = tmp_path / "levee-1.0.dist-info", blocks("toml")
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: levee\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text("[activefail.plugins]\nlevee = levee\n")
-    (tmp_path / "levee.py").write_text(
-        "from activefail.run.analysis import option\n\n\n"
-        "def flood(height: float = option(1.0, 'Height of the water [m].', low=0.0)) -> None:\n"
-        "    '''Say whether a levee holds.'''\n"
-        "    print('holds' if height < 3.0 else 'fails')\n\n\n"
-        "COMMANDS = {flood: '--height 4'}\n"
-    )
-    assert said(core, "flood", "--height", "4", beside=tmp_path) == "fails\n"
-    assert "Example: activefail flood --height 4" in said(core, "flood", "--help", beside=tmp_path)
-
-
-FLOOD = """
-from dataclasses import dataclass, replace
-
-import numpy as np
-
-from activefail.campaign.question import asked_of
-from activefail.space.parameter import Parameter
-
-
-@dataclass(frozen=True)
-class Flood:
-    title: str
-    water: float
-
-    variables, intensity, is_table, bounds = ("water",), "water", False, ("nominal",)
-    assumptions, alone, factors, rates = ("There are no waves.",), None, {}, None
-
-    @classmethod
-    def is_of(cls, values):
-        return "flood" in values
-
-    @classmethod
-    def of(cls, values, path):
-        return cls(values["flood"]["name"], values["flood"]["median"])
-
-    @classmethod
-    def applies_to(cls, space):
-        return "water" in space.names
-
-    def at_bound(self, bound):
-        return self
-
-    def question(self, space, fixed, at=None):
-        if at is not None:
-            question = asked_of(self.title, space, {}, {**fixed, "water": at[1]})
-            return replace(question, stated=self.assumptions)
-        numbers = {"median": self.water, "dispersion": 0.3}
-        water = Parameter.of_distribution("water", "lognormal", numbers, unit="m", distance=4.0)
-        return replace(asked_of(self.title, space, {"water": water}, fixed), stated=self.assumptions)
-
-    def levels(self, intensity):
-        return "water", "m", np.geomspace(0.5, 4.0, 9)
-
-    def median(self, name):
-        return self.water
-
-    def assumptions_at(self, name):
-        return []
-
-    def deaggregated(self, boundaries, space, fixed, probability):
-        return [None] * len(probability)
-
-
-QUESTIONS = {"flood": Flood}
-"""
-
-LEVEE = """
-sampling = { initial = 12, budget = 12, batch = 6 }
-simulator = { python = "levee:run", margins = ["freeboard"] }
-[space]
-crest = { low = 0.5, high = 5.0 }
-settlement = { low = 0.0, high = 0.5 }
-water = { low = 0.2, high = 4.0, unit = "m" }
-"""
-
-
-def test_a_hazard_of_another_field_serves_the_analyses_of_the_core(core: Path, tmp_path: Path) -> None:
-    metadata = tmp_path / "flood-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: flood\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text("[activefail.plugins]\nflood = flood\n")
-    (tmp_path / "flood.py").write_text(FLOOD)
-    (tmp_path / "levee.toml").write_text(LEVEE)
-    (tmp_path / "levee.py").write_text("def run(d):\n    return d['crest'] - d['settlement'] - d['water']\n")
-    (tmp_path / "river.toml").write_text("[flood]\nname = 'the river'\nmedian = 1.0\n")
+    ((group, points),) = tomllib.loads(entry)["project"]["entry-points"].items()
+    lines = [f"[{group}]", *(f"{name} = {module}" for name, module in points.items())]
+    (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    for name, text in zip(("levee.py", "levee_parts.py"), blocks("python"), strict=True):
+        (tmp_path / name).write_text(text)
+    (tmp_path / "levee.toml").write_text(campaign)
+    (tmp_path / "river.toml").write_text(river)
 
     def answer(*words: str) -> str:
         return said(tmp_path, *words, "--hazard", "river.toml", beside=core)
 
-    said(tmp_path, "run", "levee.toml", "--out", "levee-run", "--workers", "1", beside=core)
-    text = answer("probability", "levee-run", "--fixed", "crest=1.25", "--json")
-    # The settled crest is at about the median of the water.
-    assert 0.4 < json.loads(text)["outcomes"]["failure"]["probability"] < 0.6
-    text = answer("design", "levee-run", "--target", "0.1", "--free", "crest", "--simulations", "200", "--json")
+    assert said(tmp_path, "flood", "--height", "4", beside=core) == "fails\n"
+    assert "Example: activefail flood --height 4" in said(tmp_path, "flood", "--help", beside=core)
+    said(tmp_path, "run", "levee.toml", "--out", "levee", "--workers", "1", beside=core)
+    text = answer("probability", "levee", "--fixed", "crest=1.25", "--json")
+    # With the freeboard, the settled crest is at 0.8 m of water: 0.74 standard deviations below the median.
+    assert 0.7 < json.loads(text)["outcomes"]["failure"]["probability"] < 0.8
+    text = answer("design", "levee", "--target", "0.1", "--free", "crest", "--simulations", "200", "--json")
     found = json.loads(text)
     assert found["status"] == "verified"
-    assert math.exp(1.28 * 0.3) < found["bearing"]["crest"] < 2.5
-    curves = answer("fragility", "levee-run", "--fixed", "crest=1.25")
+    assert math.exp(1.28 * 0.3) + 0.2 < found["bearing"]["crest"] < 2.5
+    curves = answer("fragility", "levee", "--fixed", "crest=1.25")
     assert "fragility against water [m], under the river" in curves
-    assert "There are no waves." in curves
+    assert "freeboard = 0.2" in (tmp_path / "levee" / "campaign.toml").read_text()

@@ -116,9 +116,9 @@ class Campaign:
         space = _with_sets(settings.design_space(), settings, may_read)
         sources: dict[str, str] = {}
         if simulator is None:
-            for one in settings.named.values():
+            for name, one in settings.named.items():
                 if one not in settings.used:
-                    one.check_unused()
+                    one.check_unused(name)
             simulator, sources = _simulator(settings, space, code, run)
             _check_names(space, simulator)
         for boundary in settings.acquisition.boundaries:

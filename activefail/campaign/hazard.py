@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self
 
 from activefail.campaign.question import Question
-from activefail.campaign.settings import read_toml
 from activefail.errors import InputError
 from activefail.plugins import brought
 from activefail.space.space import Array, DesignSpace
+from activefail.text.toml import read_toml
 
 Bound = Literal["lower", "upper", "nominal"]
 """A bound of the properties of a design."""
@@ -141,6 +141,34 @@ class Hazard(Protocol):
             space, fixed: as for `question`.
             probability: (b,) under the whole hazard.
         """
+
+
+class SimpleHazard:
+    """What a hazard has that knows neither property bounds, nor rates, nor added uncertainty, nor its contributions."""
+
+    variables: ClassVar[tuple[str, ...]]
+    is_table, bounds, alone, rates = False, ("nominal",), None, None
+    factors: ClassVar[Mapping[str, float]] = {}
+    assumptions: ClassVar[Sequence[str]] = ()
+
+    @classmethod
+    def applies_to(cls, space: DesignSpace) -> bool:
+        """Whether a campaign has the variables."""
+        return {*cls.variables} <= {*space.names}
+
+    def at_bound(self, bound: Bound) -> Self:
+        """The same."""
+        return self
+
+    def assumptions_at(self, name: str) -> list[str]:
+        """None but those of the hazard."""
+        return []
+
+    def deaggregated(
+        self, boundaries: Callable[[Array], Array], space: DesignSpace, fixed: Mapping[str, float], probability: Array
+    ) -> Sequence[None]:
+        """None of any boundary."""
+        return [None] * len(probability)
 
 
 def is_hazard(given: object) -> bool:

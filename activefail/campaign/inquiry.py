@@ -10,13 +10,14 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import At, Hazard, hazard_in, is_hazard, read_hazard
 from activefail.campaign.question import Question, check_constraints, question_in, question_of, values_of
 from activefail.campaign.sections import QuestionSettings
-from activefail.campaign.settings import checked, read_toml
+from activefail.campaign.settings import checked
 from activefail.errors import InputError, naming
 from activefail.learning.criteria.population import integration_points
 from activefail.simulators.interface import Simulator
 from activefail.space.space import DesignSpace
 from activefail.space.weighted import WeightedRows
 from activefail.text.files import path_of
+from activefail.text.toml import read_toml
 
 _CHECKED = 256
 """Designs of a question on which its values are checked."""

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
-from activefail.campaign.settings import read_settings, read_toml
+from activefail.campaign.settings import read_settings
 from activefail.errors import InputError, StoreError, naming
 from activefail.record.layout import JOURNAL, SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 from activefail.text.files import writing_to
+from activefail.text.toml import read_toml
 
 
 def read_campaign(

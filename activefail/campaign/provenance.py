@@ -6,7 +6,8 @@ from collections.abc import Collection
 from functools import cache
 from importlib.metadata import version
 
-from activefail.campaign.named import NAMED, NamedSettings
+from activefail.campaign.named import NamedSettings
+from activefail.campaign.settings import NAMED
 from activefail.version import __version__
 from activefail.visible import visible
 

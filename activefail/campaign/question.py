@@ -14,7 +14,6 @@ import numpy as np
 from activefail.campaign.derived import Derived, derived_in
 from activefail.campaign.section import shown
 from activefail.campaign.sections import QuestionSettings
-from activefail.campaign.settings import read_toml
 from activefail.campaign.variables import Choices, FixedVariable, SetVariable, Variable
 from activefail.errors import InputError, naming
 from activefail.plugins import brought
@@ -23,6 +22,7 @@ from activefail.space.shares import feasible_share, percent, records_in_words
 from activefail.space.space import LEAST_FEASIBLE, Array, DesignSpace, radius
 from activefail.space.weighted import WeightedRows, weighted_quantiles
 from activefail.text.numerals import number_in
+from activefail.text.toml import read_toml
 from activefail.visible import visible
 
 _SHARE = 2**14

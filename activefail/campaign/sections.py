@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from activefail.campaign.named import DEFAULTS
 from activefail.campaign.section import NAME, WITH, Section, by_key, name_or
 from activefail.campaign.variables import AnyVariable, FixedVariable
 from activefail.learning.names import FEATURE_SETS, Criterion, Kernel
@@ -382,7 +381,7 @@ StopRule = Annotated[
 """A stop rule; `activefail.loop.stop_rule` says whether it is met."""
 
 
-_FEATURES = DEFAULTS.get("features", "design")
+_FEATURES = brought("defaults").get("features", "design")
 
 if TYPE_CHECKING:
     _FeatureSet = str

@@ -1,7 +1,6 @@
 """Settings of a campaign: read from TOML, validated and frozen."""
 
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
@@ -11,7 +10,7 @@ import tomli_w
 from pydantic import Field, Tag, ValidationError, ValidationInfo, create_model, field_validator, model_validator
 
 from activefail.campaign.broken_rules import broken_rule
-from activefail.campaign.named import DEFAULTS, NAMED, NamedSettings
+from activefail.campaign.named import NamedSettings
 from activefail.campaign.section import NAME, WITH, Section, by_key
 from activefail.campaign.sections import (
     KINDS,
@@ -33,9 +32,10 @@ from activefail.campaign.sections import (
 )
 from activefail.campaign.variables import AnyVariable, FixedVariable, ReadSet, SetVariable
 from activefail.errors import InputError
+from activefail.plugins import brought
 from activefail.space.expressions import parse_constraint
 from activefail.space.space import Constraint, DesignSpace, radius
-from activefail.text.trust import read_regular
+from activefail.text.toml import parse_toml, read_toml
 from activefail.visible import visible
 
 _STRONG = 0.9
@@ -77,6 +77,9 @@ _Custom = (
     | Annotated[ElsewhereSettings, Tag(f"{WITH}elsewhere")]
 )
 
+NAMED: dict[str, type[NamedSettings]] = {**brought("simulators")}
+"""The settings of each simulator, by its name."""
+
 if TYPE_CHECKING:
     _Simulator = str | PythonSimulatorSettings | CommandSimulatorSettings | ElsewhereSettings
 elif NAMED:
@@ -96,7 +99,7 @@ class _Simulated(Section):
 
     description: str = ""
     seed: int = Field(0, ge=0, lt=2**63)
-    simulator: _Simulator = Field(DEFAULTS.get("simulator", ...))
+    simulator: _Simulator = Field(brought("defaults").get("simulator", ...))
 
 
 if TYPE_CHECKING:
@@ -175,7 +178,7 @@ class CampaignSettings(_WithSections):
     @classmethod
     def _of_the_simulator(cls, space: Any, info: ValidationInfo) -> Any:
         # An invalid simulator has its own error.
-        simulator = info.data.get("simulator", DEFAULTS.get("simulator"))
+        simulator = info.data.get("simulator", brought("defaults").get("simulator"))
         default = NAMED[simulator].default_space() if isinstance(simulator, str) else {}
         if space is not None:
             # Of variables that are all a plug-in's, what the file leaves out is as it says.
@@ -343,60 +346,6 @@ def checked(section: type[SectionType], values: dict[str, Any], source: str) -> 
         rules = [f"  {visible(broken_rule(section, error))}" for error in errors[:_MOST_RULES]]
         rest = [f"  and {len(errors) - _MOST_RULES} more"] if len(errors) > _MOST_RULES else []
         raise InputError("\n".join([f"{source}:", *rules, *rest])) from None
-
-
-_MOST_DOTS = 200
-"""Most dots in a line of TOML: the time to parse a dotted key grows with the square of their number."""
-
-
-def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The values of TOML."""
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".") > _MOST_DOTS:
-            raise InputError(f"{source}: line {number}: must have at most {_MOST_DOTS} dots, has {line.count('.')}")
-    try:
-        values = tomllib.loads(text)
-        _check_texts(values, source)
-        return values
-    except InputError:
-        raise
-    except RecursionError:
-        raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
-    except ValueError as error:  # a TOMLDecodeError, or an integer of thousands of digits
-        raise InputError(f"{source}: not valid TOML: {error}") from None
-
-
-def _check_texts(values: object, source: str) -> None:
-    """Check that no text has a NUL, which no name of a file may contain."""
-    if isinstance(values, dict):
-        values = [*values, *values.values()]
-    for value in values if isinstance(values, list) else [values]:
-        if isinstance(value, dict | list):
-            _check_texts(value, source)
-        elif isinstance(value, str) and "\0" in value:
-            raise InputError(f"{source}: a text must not contain the character U+0000, got {value!r}.")
-
-
-_LARGEST_FILE = 10_000_000
-"""Most bytes of a TOML file."""
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The values of a TOML file.
-
-    Raises:
-        InputError: if the file cannot be read, is too large, or is not UTF-8 or TOML.
-    """
-    try:
-        text = read_regular(path, _LARGEST_FILE, follow=True).decode("utf-8-sig")
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: cannot be read: it {error}.") from None
-    return parse_toml(text, str(path))
 
 
 def parse_settings(text: str, source: str) -> CampaignSettings:

@@ -183,7 +183,7 @@ def _names(texts: list[str] | None) -> dict[str, str]:
     Raises:
         InputError: if a text is neither.
     """
-    from activefail.campaign.settings import read_toml
+    from activefail.text.toml import read_toml
 
     names: dict[str, str] = {}
     for text in texts or ():

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from activefail.campaign.section import Section, built
+from activefail.campaign.named import NamedSettings
+from activefail.campaign.section import built
 from activefail.campaign.variables import AnyVariable, Variable
-from activefail.errors import InputError
 from activefail.seismic.bearing.design import (
     RELATIVE_TOLERANCES,
     TABLE_1,
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from activefail.seismic.simulator import DfpSimulator
 
 
-class BearingSettings(Section):
+class BearingSettings(NamedSettings):
     """Settings of the double friction pendulum (`activefail.seismic.bearing.Model` and `Tolerance`).
 
     Attributes:
@@ -72,15 +72,6 @@ class BearingSettings(Section):
         from activefail.seismic.simulator import DfpSimulator
 
         return DfpSimulator.on(space, self.model(), self.integration())
-
-    def check_unused(self) -> None:
-        """Reject settings that nothing would use."""
-        for key, value in self:
-            if value != type(self).model_fields[key].default:
-                raise InputError(
-                    f'bearing.{key}: requires `simulator = "dfp"`, or the features `sliding` or `collision`, got '
-                    f"{value!r}."
-                )
 
     @classmethod
     def default_space(cls) -> dict[str, AnyVariable]:

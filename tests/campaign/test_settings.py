@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import read_campaign, shipped_campaigns
-from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings, read_toml
+from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.errors import InputError
 from activefail.learning.names import Criterion
 from activefail.seismic.bearing import TABLE_1, Model, Tolerance
 from activefail.simulators.user_code import digest_without_running
+from activefail.text.toml import read_toml
 
 SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from activefail.campaign.derived import check_no_choices
 from activefail.campaign.hazard import At, Bound
 from activefail.campaign.question import Question, asked_of, check_names
-from activefail.campaign.settings import checked, read_toml
+from activefail.campaign.settings import checked
 from activefail.errors import InputError, naming
 from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of
 from activefail.seismic.hazard.intensities import levels_of, with_amplitude
@@ -23,6 +23,7 @@ from activefail.seismic.hazard.velocity import AMPLITUDE, PERIOD, PGV, VELOCITY
 from activefail.space.parameter import Parameter
 from activefail.space.space import REACH, Array, DesignSpace, correlation_of_values, radius
 from activefail.space.weighted import BLOCKS, WeightedRows, weighted_quantiles
+from activefail.text.toml import read_toml
 
 if TYPE_CHECKING:
     from activefail.seismic.hazard.deaggregation import Deaggregation
