@@ -1,5 +1,7 @@
 """Bearings, ground motions and hazards: a plug-in that ships with activefail."""
 
+from activefail.seismic import bearing
+
 COMMANDS = "activefail.seismic.commands:COMMANDS"
 
 FEATURES = {
@@ -23,22 +25,7 @@ SELF_TESTS = {"simulator": "activefail.seismic.diagnosis:simulator"}
 """What `activefail doctor` says of the bearing."""
 
 NAMES = {
-    **{
-        name: f"activefail.seismic.bearing:{name}"
-        for name in (
-            "TABLE_1",
-            "Accelerogram",
-            "Bearing",
-            "Model",
-            "Pulse",
-            "Response",
-            "Responses",
-            "Tolerance",
-            "simulate",
-            "simulate_one",
-            "simulate_records",
-        )
-    },
+    **{name: f"activefail.seismic.bearing:{name}" for name in bearing.__all__},
     "MarginRequest": "activefail.seismic.ida.p695:MarginRequest",
     "RecordSet": "activefail.seismic.motions.accelerogram_sets:RecordSet",
     "SetRecord": "activefail.seismic.motions.accelerogram_sets:SetRecord",
