@@ -193,9 +193,10 @@ class DesignFindings:
                 "space, where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
             )
         sentences.append(
-            "Free variables stay within the campaign's ranges. A look is a round of verification. A result is wrong "
-            f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: each one "
-            "spends four fifths of what is left."
+            "Free variables stay within the campaign's ranges. A look is a round of verification. If nothing fails "
+            "where the classifier is sure of survival, a result is wrong with a probability of at most "
+            f"{100.0 * (1.0 - task.confidence):.3g} %, which the looks share: each one spends four fifths of what is "
+            "left."
         )
         least = f"{task.smaller.removesuffix('er')}est"
         if not candidate.is_feasible:
