@@ -5,6 +5,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import hypothesis
@@ -64,7 +65,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before processes side by side would each compile it, and say that they do."""
-    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+    first = not hasattr(session.config, "workerinput") and not session.config.option.collectonly
+    if first and find_spec("activefail.seismic") is not None:
         from activefail.seismic.bearing import TABLE_1, simulate
 
         simulate(TABLE_1.from_unit([[0.5] * 9]))
