@@ -12,7 +12,6 @@ from scipy import stats
 from scipy.stats import qmc
 
 from activefail.errors import InputError
-from activefail.seismic.bearing import TABLE_1
 from activefail.space import space
 from activefail.space.parameter import Parameter
 from activefail.space.space import DesignSpace
@@ -189,21 +188,6 @@ def test_a_label_bears_the_unit_where_there_is_one() -> None:
     assert [parameter.label for parameter in SPACE.parameters] == ["x [m]", "k", "mu"]
 
 
-def test_table_1_is_the_papers() -> None:
-    rows = {
-        "T_b": (2.5, 5.5, "s"),
-        "mu": (0.02, 0.12, ""),
-        "D_tot": (0.450, 0.850, "m"),
-        "h_sl_ratio": (0.33, 1.3, ""),
-        "h_rim_ratio": (0.05, 0.2, ""),
-        "p": (30.0, 60.0, "MPa"),
-        "k": (2.5e8, 50e8, "N/m^1.5"),
-        "T_p": (0.25, 5.0, "s"),
-        "A_p": (0.1, 0.8, "g"),
-    }
-    assert {p.name: (p.low, p.high, p.unit) for p in TABLE_1.parameters} == rows
-
-
 def test_a_ctrl_c_while_scipy_reads_its_direction_numbers_arrives_afterwards(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -218,7 +202,7 @@ def test_a_ctrl_c_while_scipy_reads_its_direction_numbers_arrives_afterwards(
     monkeypatch.setattr(qmc, "Sobol", Struck)
     space._read_direction_numbers.cache_clear()
     with pytest.raises(KeyboardInterrupt):
-        TABLE_1.sobol(8, np.random.default_rng(0))
+        SPACE.sobol(8, np.random.default_rng(0))
     assert made == [(1,)]
     monkeypatch.undo()
-    assert np.ptp(TABLE_1.sobol(8, np.random.default_rng(0)), axis=0).all()
+    assert np.ptp(SPACE.sobol(8, np.random.default_rng(0)), axis=0).all()

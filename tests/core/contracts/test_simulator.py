@@ -9,16 +9,13 @@ import numpy as np
 import pytest
 from campaign.stub import HIGH, LOW, Disc
 
-from activefail.errors import InputError
 from activefail.record.batch import Schema
-from activefail.seismic.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.seismic.simulator import DfpSimulator
+from activefail.seismic.bearing import Tolerance
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space.parameter import Parameter
 from activefail.space.space import Array, DesignSpace
 
 PLANE = DesignSpace((Parameter("x", LOW[0], HIGH[0]), Parameter("y", LOW[1], HIGH[1])))
-TURNED = DesignSpace(TABLE_1.parameters[::-1])
 
 
 @dataclass
@@ -31,9 +28,6 @@ class Kind:
 
 
 KINDS: dict[str, Callable[[], Kind]] = {
-    "bearing": lambda: Kind(DfpSimulator.on(TABLE_1, Model(), Tolerance()), TABLE_1),
-    "bearing, variables turned round": lambda: Kind(DfpSimulator.on(TURNED, Model(), Tolerance()), TURNED),
-    "bearing that gives up": lambda: Kind(DfpSimulator.on(TABLE_1, Model(), Tolerance(most_steps=900)), TABLE_1),
     "disc": lambda: Kind(Disc(), PLANE),
     "disc in fog": lambda: Kind(Disc(blind=0.0), PLANE),
 }
@@ -121,19 +115,6 @@ def test_a_simulator_that_frees_the_lock_answers_side_by_side_what_it_answers_al
     assert bits(Results.concatenate(together)) == bits(kind.simulator.run(X))
 
 
-# --- the bearing -------------------------------------------------------------------------------------------------
-
-
-def test_the_bearing_answers_as_the_bearing_model_does_whatever_the_order_of_the_variables() -> None:
-    X = TABLE_1.latin_hypercube(20, np.random.default_rng(4))
-    model, tolerance = Model(slider_diameter=0.28), Tolerance(relative=1e-3)
-    answers = simulate(X, model, tolerance)
-    for space in (TABLE_1, TURNED):
-        results = DfpSimulator.on(space, model, tolerance).run(TABLE_1.table(X, space.names))
-        assert (results.outcome.tolist(), results.cause.tolist()) == (answers.outcome.tolist(), answers.cause.tolist())
-        assert results.margins.tobytes() == answers.columns.tobytes()
-
-
 # --- results -----------------------------------------------------------------------------------------------------
 
 
@@ -168,16 +149,3 @@ def test_faults_stay_with_their_rows_where_results_are_cut_and_put_together() ->
 def test_a_fault_without_a_row_is_refused(row: int) -> None:
     with pytest.raises(ValueError, match=rf"`0 <= row < 2` must hold for the faults, got rows \[{row}\]"):
         replace(Disc().run(np.zeros((2, 2))), faults={row: "of none"})
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"p": Parameter("p", 30e6, 60e6, "Pa")}, r"space\.p\.unit: must be 'MPa' or left out, got 'Pa'"),
-        ({"T_b": Parameter("T_b", 1.5, 5.5, "s")}, "cannot be built"),
-    ],
-)
-def test_a_space_in_other_units_or_with_bearings_that_cannot_be_built_is_refused(change, says):
-    space = DesignSpace(tuple(change.get(p.name, p) for p in TABLE_1.parameters))
-    with pytest.raises(InputError, match=says):
-        DfpSimulator.on(space, Model(), Tolerance())

@@ -29,9 +29,6 @@ from activefail.loop.running import run
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
 from activefail.run.opening import open_run
-from activefail.seismic.ida import simulations as ida_simulations
-from activefail.seismic.ida.capacity import Answers
-from activefail.seismic.ida.simulations import CampaignSubject
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED
 from activefail.space.parameter import Parameter
@@ -206,22 +203,16 @@ def is_running(pid: int) -> bool:
     return True
 
 
-def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time_limit(
-    alone: Cluster, tmp_path: Path
-) -> None:
+def test_workers_as_dask_starts_them_simulate_functions_with_a_time_limit(alone: Cluster, tmp_path: Path) -> None:
     # Beside a nanny a worker is a daemon, which Python refuses to have children.
     alone.add("one", "--nanny")
     assert "Start Nanny at" in (tmp_path / "one.log").read_text()
-    (tmp_path / "bearing.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 24, batch = 4 }")
     (tmp_path / "unruly.py").write_text(UNRULY)
     limited = TOML.replace('"slow:run"', '"unruly:run", time_limit = 3.0') + "[limits]\nnumerical_failures = 1.0\n"
     (tmp_path / "unruly.toml").write_text(limited)
     dask = ("--executor", "dask", "--scheduler", alone.address)
-    for name in ("bearing", "unruly"):
-        result = activefail("run", tmp_path / f"{name}.toml", "--out", tmp_path / name, *dask)
-        assert result.code == 0, result.err
-    assert activefail("run", tmp_path / "bearing.toml", "--out", tmp_path / "here").code == 0
-    assert record(tmp_path / "bearing") == record(tmp_path / "here")
+    result = activefail("run", tmp_path / "unruly.toml", "--out", tmp_path / "unruly", *dask)
+    assert result.code == 0, result.err
     rows = record(tmp_path / "unruly")
     assert len(rows) == 24
     for row in rows:
@@ -467,7 +458,8 @@ def test_the_processes_that_simulate_on_a_cluster_end_with_the_campaign(shared: 
 @pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
+    (tmp_path / "mine.toml").write_text(TOML)
+    (tmp_path / "slow.py").write_text(SLOW)
     words = ("run", tmp_path / "mine.toml", "--out", tmp_path / "run")
     refused(activefail(*words, "--executor", "dask"), "--executor dask requires --scheduler")
     refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler requires --executor dask")
@@ -476,49 +468,6 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://"):
         refused(activefail(*dask, address), f"--scheduler: no Dask scheduler answers at {address!r}")
     assert not (tmp_path / "run").exists()
-
-
-def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of_this_machine(
-    shared: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "set").mkdir()
-    for name in "abc":
-        np.savetxt(tmp_path / "set" / f"{name}.txt", np.random.default_rng(ord(name)).normal(size=50))
-    (tmp_path / "plate.py").write_text(
-        "import os, pathlib\n\n"
-        "def run(design):\n"
-        "    with open(pathlib.Path(__file__).with_name(f'simulated-{os.getpid()}'), 'a') as file:\n"
-        "        file.write('x')\n"
-        "    return 'failure' if design['PGV'] > 1.0 + 0.1 * int(design['record']) else 'safe'\n"
-    )
-    (tmp_path / "plate.toml").write_text(
-        'simulator = { python = "plate:run" }\n'
-        "space = { record = { low = 0, high = 3 }, PGV = { low = 0.1, high = 3 }, mass = { low = 1, high = 2 } }\n"
-    )
-    (tmp_path / "mass.toml").write_text("mass = 1.5\n")
-    monkeypatch.chdir(tmp_path)
-    words = ("ida", "--records", "set", "--unit", "m/s2", "--dt", "0.01", "--bearing", "mass.toml")
-    words = (*words, "--simulator", "plate.toml", "--out")
-    assert activefail(*words, "whole", "--workers", "1").code == 0
-    monkeypatch.setattr(ida_simulations, "_PART", 10)
-    here, parts = CampaignSubject.simulate, iter(range(2))
-
-    def stopping(self: CampaignSubject, *about) -> Answers:
-        if len(about[-1]) == 10 and next(parts, None) is None:
-            raise KeyboardInterrupt
-        return here(self, *about)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(CampaignSubject, "simulate", stopping)
-        assert activefail(*words, "stopped", "--workers", "1").code == 130
-    for path in tmp_path.glob("simulated-*"):
-        path.unlink()
-    continued = activefail(*words, "stopped", "--executor", "dask", "--scheduler", shared.address)
-    assert continued.code == 0, continued.err
-    for name in ("ida.json", "ida.csv", next((tmp_path / "whole").glob("simulations-*.json")).name):
-        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    # Ten levels and five bisections for each record, without the two parts that were kept.
-    assert sum(len(path.read_text()) for path in tmp_path.glob("simulated-*")) == 3 * 15 - 20
 
 
 def test_workers_of_other_versions_than_this_machine_s_answer_nothing(shared: Cluster) -> None:

@@ -4,9 +4,6 @@ import json
 import keyword
 import os
 import re
-import resource
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,15 +16,11 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from activefail.campaign.settings import CampaignSettings
-from activefail.seismic.bearing import TABLE_1
 from activefail.space.expressions import FUNCTIONS, parsed_name
-from activefail.space.parameter import LARGEST
 from activefail.visible import visible
 
 Survived = Callable[[], None]
 
-HEADER = ",".join(TABLE_1.names)
-ROW = ("4.0", "0.06", "0.6", "0.8", "0.1", "50", "2e9", "2.0", "0.4")
 
 often = hypothesis.settings(
     deadline=None,
@@ -77,11 +70,13 @@ _OWN = {
 _ANSWERS = {"outcomes": ["safe", "damage", "failure"], "margins": ["gap", "tilt"], "time_limit": 60.0}
 
 GOODS = (
-    full({"stop": {"error": 0.05}, "classifier": {"features": {"python": "own_features:own"}}}),
     full(_OWN | {"simulator": {"python": "own_model:run"} | _ANSWERS}),
     full(_OWN | {"simulator": {"command": "model {here} {drift:.3f} {T} {mu} {storeys} {out}"} | _ANSWERS}),
+    full(
+        _OWN | {"simulator": {"elsewhere": True} | _ANSWERS, "classifier": {"features": {"python": "own_features:own"}}}
+    ),
 )
-"""Settings of a bearing, of a custom function and of a custom program."""
+"""Settings of a custom function, of a custom program, and of custom features."""
 
 texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\x7f"), max_size=12)
 scalars = st.one_of(
@@ -121,17 +116,12 @@ def changed(good: dict[str, Any], path: tuple[str, ...], value: object) -> dict[
     return settings
 
 
-@often
-@given(place=st.sampled_from([(good, path) for good in GOODS for path in keys(good)]), value=values)
-def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
-    place: tuple[dict[str, Any], tuple[str, ...]], value: object, taken: Path, survived: Survived
-) -> None:
-    good, path = place
+def is_taken_or_refused(good: dict[str, Any], path: tuple[str, ...], value: object, taken: Path) -> None:
+    """Assert that good settings with another value of a key are taken, or refused by file, key, rule and value."""
     file = taken.with_name("mine.toml")
     file.write_text(tomli_w.dumps(changed(good, path, value)), encoding="utf-8")
     result = activefail("run", file, "--out", taken)
     refused(result)
-    survived()
     if "already holds a campaign" in result.err:
         return  # the value is good
     assert result.err.startswith(f"activefail: {file}:"), result.err
@@ -150,15 +140,20 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
 
 
 @often
-@given(
-    place=st.sampled_from([(good, path) for good in GOODS for path in [(), *keys(good)]]),
-    name=texts.filter(lambda text: text not in ("python", "command", "expressions", "value")),
-    value=scalars,
-)
-def test_a_key_that_there_is_not_is_refused_by_file_and_key(
-    place: tuple[dict[str, Any], tuple[str, ...]], name: str, value: object, taken: Path, survived: Survived
+@given(place=st.sampled_from([(good, path) for good in GOODS for path in keys(good)]), value=values)
+def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
+    place: tuple[dict[str, Any], tuple[str, ...]], value: object, taken: Path, survived: Survived
 ) -> None:
-    good, path = place
+    is_taken_or_refused(*place, value, taken)
+    survived()
+
+
+NO_NAMES = ("python", "command", "expressions", "value")
+"""Names of keys that are known in some tables only."""
+
+
+def is_unknown(good: dict[str, Any], path: tuple[str, ...], name: str, value: object, taken: Path) -> None:
+    """Assert that good settings with another key are refused by file and key."""
     section: Any = good
     for part in path:
         section = section[part]
@@ -169,6 +164,18 @@ def test_a_key_that_there_is_not_is_refused_by_file_and_key(
     file = taken.with_name("mine.toml")
     file.write_text(tomli_w.dumps(settings), encoding="utf-8")
     refused(activefail("run", file, "--out", taken), f"{file}:\n", f"{dotted((*path, name))}: unknown key")
+
+
+@often
+@given(
+    place=st.sampled_from([(good, path) for good in GOODS for path in [(), *keys(good)]]),
+    name=texts.filter(lambda text: text not in NO_NAMES),
+    value=scalars,
+)
+def test_a_key_that_there_is_not_is_refused_by_file_and_key(
+    place: tuple[dict[str, Any], tuple[str, ...]], name: str, value: object, taken: Path, survived: Survived
+) -> None:
+    is_unknown(*place, name, value, taken)
     survived()
 
 
@@ -263,101 +270,6 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
     survived()
 
 
-# --- tables ------------------------------------------------------------------------------------------------------
-
-no_numbers = st.one_of(
-    st.text(st.characters(codec="utf-8", exclude_categories=["Cs"], exclude_characters='\r\n"\0'), max_size=8),
-    st.sampled_from(
-        ["", " ", "nan", "-NaN", "inf", "-Infinity", "1e999", "1_000", "0x10", "1,5", "4 m", "½", "--1", "1e"]
-    ),
-    st.floats(max_value=0.0).map(repr),
-    st.floats(min_value=1.01 * LARGEST).map(repr),
-).filter(lambda text: not _is_good(text))
-
-
-def _is_good(text: str) -> bool:
-    try:
-        value = float(text.replace("_", "?"))
-    except ValueError:
-        return False
-    return 0.0 < value <= LARGEST
-
-
-def _number(text: str) -> str | None:
-    """A number as messages write it; None if the text is none."""
-    try:
-        return f"{float(text):g}"
-    except ValueError:
-        return None
-
-
-@often
-@given(
-    before=st.integers(0, 4),
-    after=st.integers(0, 3),
-    column=st.integers(0, 8),
-    bad=no_numbers,
-    blank=st.booleans(),
-    order=st.permutations(range(9)),
-    end=st.sampled_from(["\n", "\r\n"]),
-    mark=st.booleans(),
-)
-def test_a_bad_cell_is_refused_by_file_row_line_column_rule_and_value_and_nothing_is_written(
-    before: int,
-    after: int,
-    column: int,
-    bad: str,
-    blank: bool,
-    order: list[int],
-    end: str,
-    mark: bool,
-    tmp_path_factory: pytest.TempPathFactory,
-    survived: Survived,
-) -> None:
-    place = tmp_path_factory.getbasetemp() / "tables"
-    place.mkdir(exist_ok=True)
-    row = [f'"{text}"' if "," in text else text for text in (bad if i == column else ROW[i] for i in order)]
-    good = ",".join(ROW[i] for i in order)
-    lines = [",".join(TABLE_1.names[i] for i in order), *[""] * blank, *[good] * before, ",".join(row), *[good] * after]
-    (place / "in.csv").write_bytes((end.join(lines) + end).encode("utf-8-sig" if mark else "utf-8"))
-    result = activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv")
-    name, line = TABLE_1.names[column], before + 2 + blank
-    refused(result, f"{place / 'in.csv'}: row {before + 1} (line {line}), column {name}: ", "must ", "got ")
-    value = result.err.rpartition("got ")[2].rstrip(".\n")
-    assert value in (repr(bad.strip()) if bad.strip() else "an empty cell", _number(bad)), result.err
-    assert os.listdir(place) == ["in.csv"]
-    survived()
-
-
-@often
-@given(content=st.one_of(st.binary(max_size=80), st.text('"a,\r\n;\t1.T_b\0é', max_size=80).map(str.encode)))
-def test_a_file_of_any_bytes_is_no_table_and_is_refused_by_its_name(
-    content: bytes, tmp_path_factory: pytest.TempPathFactory, survived: Survived
-) -> None:
-    place = tmp_path_factory.getbasetemp() / "tables"
-    place.mkdir(exist_ok=True)
-    (place / "in.csv").write_bytes(content)
-    refused(activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv"), f"{place / 'in.csv'}")
-    assert os.listdir(place) == ["in.csv"]
-    survived()
-
-
-def test_a_bad_cell_at_the_end_of_a_million_rows_is_refused_in_little_memory(tmp_path: Path, every_fault: bool) -> None:
-    rows = 10**6 if every_fault else 10**4
-    with (tmp_path / "in.csv").open("w") as file:
-        file.write(f"{HEADER}\n" + f"{','.join(ROW)}\n" * (rows - 1) + f"{','.join(ROW).replace('0.06', 'rough')}\n")
-    words = [sys.executable, "-m", "activefail.cli", "simulate", "--csv", "in.csv", "--out", "out.csv"]
-
-    def limited() -> None:
-        # The libraries alone take some 0.6 GB of addresses; a million rows as Python objects would take 1 GB more.
-        resource.setrlimit(resource.RLIMIT_DATA, (500 * 2**20, 500 * 2**20))
-
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limited)
-    assert done.returncode == 2, done.stderr
-    assert f"in.csv: row {rows} (line {rows + 1}), column mu: must be a number, got 'rough'." in done.stderr
-    assert os.listdir(tmp_path) == ["in.csv"]
-
-
 # --- the command line --------------------------------------------------------------------------------------------
 
 OPTIONS = {
@@ -369,7 +281,6 @@ OPTIONS = {
     "export": ["--csv", "--code"],
     "report": ["--out", "--code"],
     "status": [],
-    "paper": ["--draws", "--fresh", "--seed"],
 }
 
 
@@ -379,20 +290,23 @@ def test_no_options_of_any_command_bring_a_traceback(
     command: str, data: st.DataObject, taken: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived
 ) -> None:
     monkeypatch.chdir(taken)
+    # Where there is no campaign, and nothing is begun.
+    bring_no_traceback([command, "nowhere"], OPTIONS[command], data, taken)
+    survived()
+
+
+def bring_no_traceback(
+    words: list[str], options: list[str], data: st.DataObject, taken: Path, last: tuple[str, ...] = ()
+) -> None:
+    """Assert that a command with some of its options, with any values, and the last words is refused."""
     values = st.one_of(
         st.integers(-5, 5).map(str),
         texts.filter(lambda text: "\0" not in text),
         st.sampled_from(["nan", "1e9", "-", "", ".", "..", "campaign.toml", "local", "dask", "tcp://127.0.0.1:1"]),
     )
-    chosen = data.draw(st.lists(st.sampled_from(OPTIONS[command]), unique=True, max_size=3)) if OPTIONS[command] else []
-    # Where there is no campaign, and nothing is begun.
-    words = [command, *([] if command == "paper" else ["nowhere"])]
-    for option in chosen:
-        words += [option, data.draw(values)]
-    if command == "paper":
-        words += ["--draws", "0"]
+    chosen = data.draw(st.lists(st.sampled_from(options), unique=True, max_size=3)) if options else []
+    words = [*words, *(word for option in chosen for word in (option, data.draw(values))), *last]
     result = activefail(*words)
     assert result.code == 2, result
     assert "Traceback" not in result.err + result.out
     assert sorted(os.listdir(taken)) == ["campaign.toml"]
-    survived()

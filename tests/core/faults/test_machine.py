@@ -23,8 +23,19 @@ from activefail.record.run_folder import FolderStore
 Survived = Callable[[], None]
 Disk = Callable[[int], Path]
 
-TINY = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 5 }\n"
-"""A campaign on the bearing whose run folder comes to some 40 kB."""
+TINY = """
+seed = 3
+sampling = { initial = 20, budget = 30, batch = 5 }
+simulator = { python = "plate:run", margins = ["g"] }
+space = { x = { low = 0, high = 1 }, y = { low = 0, high = 1 } }
+"""
+"""A campaign whose run folder comes to some 30 kB."""
+
+
+def write_tiny(folder: Path) -> None:
+    """Write that campaign's file and its code."""
+    (folder / "tiny.toml").write_text(TINY)
+    (folder / "plate.py").write_text("def run(design):\n    return 1.3 - design['x'] - design['y']\n")
 
 
 def test_a_disk_that_is_full_at_any_page_ends_the_campaign_with_the_reason_and_loses_nothing(
@@ -51,7 +62,7 @@ def test_a_disk_that_is_full_at_any_page_ends_the_campaign_with_the_reason_and_l
 def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_can_be_resumed(
     small_disk: Disk, tmp_path: Path
 ) -> None:
-    (tmp_path / "tiny.toml").write_text(TINY)
+    write_tiny(tmp_path)
     assert activefail("run", tmp_path / "tiny.toml", "--out", tmp_path / "straight").code == 0
     disk = small_disk(300)
     (disk / "ballast").write_bytes(bytes(307_200 - 4 * 4096))
@@ -82,7 +93,7 @@ def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated(
     small_disk: Disk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "tiny.toml").write_text(TINY)
+    write_tiny(tmp_path)
     disk = small_disk(2000)
     assert activefail("run", tmp_path / "tiny.toml", "--out", disk / "run", "--budget", "22").code == 0
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
@@ -91,7 +102,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated
     def simulated(*arguments: object) -> None:
         raise AssertionError("it simulates")
 
-    monkeypatch.setattr("activefail.seismic.simulator.DfpSimulator.run", simulated)
+    monkeypatch.setattr("activefail.simulators.function.PythonSimulator.run", simulated)
     for words in (
         ["resume", disk / "run", "--budget", "30"],
         ["run", tmp_path / "tiny.toml", "--out", disk / "new"],

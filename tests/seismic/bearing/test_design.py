@@ -144,3 +144,18 @@ def test_the_physics_loads_without_the_learning_the_store_or_the_settings():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert loaded.stdout.split() == []
+
+
+def test_table_1_is_the_papers() -> None:
+    rows = {
+        "T_b": (2.5, 5.5, "s"),
+        "mu": (0.02, 0.12, ""),
+        "D_tot": (0.450, 0.850, "m"),
+        "h_sl_ratio": (0.33, 1.3, ""),
+        "h_rim_ratio": (0.05, 0.2, ""),
+        "p": (30.0, 60.0, "MPa"),
+        "k": (2.5e8, 50e8, "N/m^1.5"),
+        "T_p": (0.25, 5.0, "s"),
+        "A_p": (0.1, 0.8, "g"),
+    }
+    assert {p.name: (p.low, p.high, p.unit) for p in TABLE_1.parameters} == rows
