@@ -17,19 +17,14 @@ A_p = { low = 0.1, high = 0.8, unit = "g" }
 """
 """The end of a campaign file."""
 
-CODE = """
-def run(design):
-    reserve = 0.3 + 4.0 * design["mu"] - 0.25 * design["A_p"] * design["T_p"] ** 2
-    if reserve > 0.0:
-        return "no_impact"
-    return "impact" if reserve > -0.4 * (design["k"] / 1e9) ** 0.2 else "failure"
-"""
+CODE = Path(__file__).with_name("pounding_code")
+"""The folder of the code."""
 
 
 def write_campaign(file: Path, text: str) -> Path:
     """Write a campaign file, which begins with this text, and the code beside it; the file."""
     file.write_text(text + SIMULATOR, encoding="utf-8")
-    (file.parent / "pounding_model.py").write_text(CODE)
+    shutil.copy(CODE / "pounding_model.py", file.parent)
     return file
 
 

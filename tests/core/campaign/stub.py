@@ -118,6 +118,7 @@ def disc(
         seed = {seed}
         sampling = {{ initial = {initial}, budget = {budget}, batch = {batch}, asynchronous = {without_batches} }}
         {extra}
+        simulator = {{ python = "disc:run", outcomes = ["safe", "broken"] }}
         classifier.features = "design"
         acquisition.boundary = "broken"
         space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pounding import NAMES
 from report.browser import browser
 from report.test_report import ran, settings
 
@@ -23,7 +24,6 @@ from activefail.pages.explorer.pages import Site
 from activefail.pages.explorer.server import ExplorerServer
 from activefail.pages.explorer.site import CampaignSite
 from activefail.record.run_folder import FolderStore
-from activefail.seismic.bearing.design import TABLE_1
 
 
 @pytest.fixture(scope="session")
@@ -79,9 +79,9 @@ def site_of(findings: Findings, home: str = "", jobs: Jobs | None = None, failur
     return CampaignSite(findings, slow, jobs or Jobs(), home)
 
 
-def form(X: list[float], **values: object) -> dict[str, object]:
-    """The form of the page of one design of a bearing, as a browser sends it."""
-    return dict(zip(TABLE_1.names, map(str, X), strict=True)) | values
+def form(X: list[float], names: tuple[str, ...] = NAMES, **values: object) -> dict[str, object]:
+    """The form of the page of one design, as a browser sends it."""
+    return dict(zip(names, map(str, X), strict=True)) | values
 
 
 def there(visitor: Visitor, css: str, text: str = "") -> bool:

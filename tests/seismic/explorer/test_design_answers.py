@@ -19,7 +19,6 @@ from activefail.analyses.design.required_chart import least_value
 from activefail.analyses.findings.results import Findings
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
-from activefail.errors import SimulationError
 from activefail.estimates.integral import boundary_of
 from activefail.pages.explorer.jobs import Job, Jobs, StoppedError
 from activefail.run.opening import open_run
@@ -165,21 +164,6 @@ def test_a_verification_stops_between_two_predictions_or_simulations(design, mon
         design.verified(verification, design.asked(REQUEST))
     assert verification.simulations == 0
     assert (verification.predictions == 0) == (event == "stage")
-
-
-def test_a_verification_tells_why_it_has_no_result(capfd):
-    faults = []
-    with Jobs() as jobs:
-        for error in (SimulationError("None gave an outcome."), RuntimeError("a secret")):
-
-            def broken(job: Job, error: Exception = error) -> None:
-                raise error
-
-            jobs.start(broken, None)
-            until(lambda: jobs.last.state == "failed", "its end")
-            faults.append(jobs.last.fault)
-    assert faults == ["None gave an outcome.", "The explorer failed; its terminal shows the error."]
-    assert "a secret" in capfd.readouterr().err
 
 
 # --- requests -----------------------------------------------------------------------------------------------------
