@@ -6,14 +6,14 @@ from pathlib import Path
 from activefail.campaign.known_code import remember_code
 from activefail.campaign.on_disk import open_campaign
 
-NAMES = ("mu", "k", "T_p", "A_p")
+NAMES = ("mu", "k", "T_g", "A_g")
 SIMULATOR = """
 simulator = { python = "pounding_model:run", outcomes = ["no_impact", "impact", "failure"] }
 [space]
 mu = { low = 0.02, high = 0.12 }
 k = { low = 2.5e8, high = 5e9, unit = "N/m^1.5" }
-T_p = { low = 0.25, high = 5.0, unit = "s" }
-A_p = { low = 0.1, high = 0.8, unit = "g" }
+T_g = { low = 0.25, high = 5.0, unit = "s" }
+A_g = { low = 0.1, high = 0.8, unit = "g" }
 """
 """The end of a campaign file."""
 

@@ -141,24 +141,3 @@ def test_ci_first_tests_as_on_a_bare_machine_and_goes_on_where_nothing_can_be_in
         "make test-faults, home mine with 0 files",
         "browser chromium, required:.",
     ]
-
-
-def without_tools(tmp_path: Path, *words: str, require: str = "") -> list[str]:
-    """What pytest prints where there is neither a browser nor openseespy."""
-    missing = {"ACTIVEFAIL_OPENSEES_PYTHON": str(tmp_path / "none"), "PATH": str(tmp_path)}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
-    environment = os.environ | missing | {"ACTIVEFAIL_REQUIRE": require}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    return (done.stdout + done.stderr).splitlines()
-
-
-def test_what_needs_a_missing_tool_is_skipped_and_no_test_runs_without_a_required_one(tmp_path: Path) -> None:
-    places = ("tests/simulators/test_opensees.py", "tests/report/test_report_in_a_browser.py")
-    said = without_tools(tmp_path, "-m", "needs", *places)
-    assert re.search(r"^\d+ skipped, \d+ deselected in ", said[-1]), said
-    assert any(re.match(r"SKIPPED .*: a browser needs chromium ", line) for line in said), said
-    why = f"{tmp_path / 'none'} has no openseespy: No such file or directory"
-    assert any(re.match(rf"SKIPPED .*test_opensees.*: {re.escape(why)}", line) for line in said), said
-    said = without_tools(tmp_path, *places, require="openseespy")
-    assert said[0].startswith(f"ERROR: ACTIVEFAIL_REQUIRE names openseespy, but {why}")
-    assert said[1:] == [""]

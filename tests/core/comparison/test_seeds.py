@@ -7,6 +7,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from pounding import CODE, SIMULATOR
 
 from activefail.analyses.comparison.seeds import (
     STATIC,
@@ -18,18 +19,17 @@ from activefail.analyses.comparison.seeds import (
     curves,
     simulations_to_reach,
 )
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
-from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.pages.report.comparison import comparison_json, comparison_lines, comparison_text, write_comparison
-from activefail.seismic.bearing import simulate
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = CampaignSettings().changed(
-    {"seed": 3, "sampling.initial": 30, "sampling.budget": 35, "sampling.batch": 5, "classifier.kernel": "matern52"}
-)
-PLAN = ComparisonPlan(SETTINGS, 2, ("entropy",), ("paper", "design"), (30, 60), 100)
+TEXT = 'seed = 3\nsampling = { initial = 30, budget = 35, batch = 5 }\nclassifier.kernel = "matern52"\n'
+SETTINGS = parse_settings(TEXT + SIMULATOR, "made.toml")
+PLAN = ComparisonPlan(SETTINGS, 2, ("entropy",), ("decorrelated", "design"), (30, 60), 100, code=CODE)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_every_seed_has_every_arm_scored_where_it_should_be(scores):
     expected = [
         (seed, features, sampling, n)
         for seed in (3, 4)
-        for features in ("paper", "design")
+        for features in ("decorrelated", "design")
         for sampling, n in (*(("entropy", n) for n in range(30, 36)), (STATIC, 30), (STATIC, 60))
     ]
     assert rows == expected
@@ -96,9 +96,10 @@ def test_every_seed_has_every_arm_scored_where_it_should_be(scores):
 
 
 def test_samplings_of_one_seed_share_the_test_set_and_their_features_the_static_design(folder, scores):
+    simulator = Campaign.of(SETTINGS, CODE).simulator
     with open_campaign(folder / "designs", write=False) as (_, store):
         X, answers = store.read_set("test-100-0")
-        assert np.array_equal(answers.outcome, simulate(X).outcome)
+        assert np.array_equal(answers.outcome, simulator.run(X).outcome)
         assert len(store.read_set("static-60-seed4-0")[0]) == 60
         assert not np.array_equal(store.read_set("static-60-seed4-0")[0], store.read_set("static-60-seed3-0")[0])
 
@@ -120,7 +121,7 @@ def test_an_arm_whose_scores_are_lost_is_scored_again_and_alike(folder, scores):
 @pytest.mark.usefixtures("here")
 def test_more_arms_leave_those_that_were_scored_alone(folder, scores):
     before = {path: path.stat().st_mtime_ns for path in (folder / "scores").glob("*.json")}
-    extra = compare_seeds(replace(PLAN, static=(30, 45, 60), features=("paper",)), folder, 1)
+    extra = compare_seeds(replace(PLAN, static=(30, 45, 60), features=("decorrelated",)), folder, 1)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert {s.simulations for s in extra if s.arm.sampling == STATIC} == {30, 45, 60}
 
@@ -138,8 +139,8 @@ def test_a_stop_keeps_what_was_scored_and_the_same_command_goes_on(tmp_path, sto
     before, after, scores = stopped_and_continued
     assert 3 <= len(before) < len(after) == len(PLAN.arms())
     assert before.items() <= after.items()
-    of_paper = [score for score in scores if score.arm.features == "paper"]
-    assert compare_seeds(replace(PLAN, features=("paper",)), tmp_path, 1) == of_paper
+    of_decorrelated = [score for score in scores if score.arm.features == "decorrelated"]
+    assert compare_seeds(replace(PLAN, features=("decorrelated",)), tmp_path, 1) == of_decorrelated
 
 
 def test_the_page_has_every_median_and_the_table_every_score(tmp_path, scores):
@@ -170,7 +171,7 @@ def test_its_json_has_the_spread_of_each_measure_over_the_seeds(scores):
 
 
 def made(sampling, n, accuracies):
-    return [ArmScore(Arm("paper", sampling, n, seed), n, {"accuracy": a}) for seed, a in enumerate(accuracies)]
+    return [ArmScore(Arm("decorrelated", sampling, n, seed), n, {"accuracy": a}) for seed, a in enumerate(accuracies)]
 
 
 def test_simulations_to_reach_a_level_are_interpolated_in_their_logarithm():
@@ -182,7 +183,7 @@ def test_simulations_to_reach_a_level_are_interpolated_in_their_logarithm():
 
 def test_curves_hold_the_seeds_of_each_size_in_order_of_size():
     actual = curves([*made("entropy", 60, [0.9, 0.8]), *made("entropy", 30, [0.7, 0.6])], "accuracy")
-    assert [(p.simulations, p.values.tolist()) for p in actual["paper", "entropy"]] == [
+    assert [(p.simulations, p.values.tolist()) for p in actual["decorrelated", "entropy"]] == [
         (30, [0.7, 0.6]),
         (60, [0.9, 0.8]),
     ]

@@ -18,7 +18,7 @@ from activefail.pages.figures.outcome_planes import marks_in
 from activefail.pages.report.environment import probability
 
 FAILING = [0.06, 2e9, 4.0, 0.5]
-FORM = form(FAILING, across="T_p", up="A_p", shown="failure", along="A_p")
+FORM = form(FAILING, across="T_g", up="A_g", shown="failure", along="A_g")
 
 
 def place_in(html: str) -> dict[str, float]:
@@ -51,8 +51,8 @@ def test_a_plane_says_where_its_axes_are_and_names_their_units(one):
     place = place_in(html)
     assert 0.0 < place["left"] < place["right"] < 1.0
     assert 0.0 < place["top"] < place["bottom"] < 1.0
-    assert 'data-axes="T_p A_p"' in html
-    assert "in the plane of T_p and A_p" in html
+    assert 'data-axes="T_g A_g"' in html
+    assert "in the plane of T_g and A_g" in html
     assert "<script" not in html
     assert one.plane(FORM | {"shown": "uncertainty"}) != html
 

@@ -72,14 +72,14 @@ def test_the_name_of_the_campaign_is_text_and_no_program(visitor):
 def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_shown(visitor, one):
     from selenium.webdriver.common.keys import Keys
 
-    assert visitor.slider("A_p").accessible_name == "A_p in g"
-    visitor.slider("A_p").send_keys(Keys.HOME)
-    shows(visitor, expected(one, A_p=0.1))
-    assert visitor.one("#A_p").get_attribute("value") == "0.1"
-    visitor.slider("A_p").send_keys(Keys.END)
-    shows(visitor, expected(one, A_p=0.8))
-    assert visitor.one("#A_p").get_attribute("value") == "0.8"
-    assert expected(one, A_p=0.8)["failure"] > expected(one, A_p=0.1)["failure"]
+    assert visitor.slider("A_g").accessible_name == "A_g in g"
+    visitor.slider("A_g").send_keys(Keys.HOME)
+    shows(visitor, expected(one, A_g=0.1))
+    assert visitor.one("#A_g").get_attribute("value") == "0.1"
+    visitor.slider("A_g").send_keys(Keys.END)
+    shows(visitor, expected(one, A_g=0.8))
+    assert visitor.one("#A_g").get_attribute("value") == "0.8"
+    assert expected(one, A_g=0.8)["failure"] > expected(one, A_g=0.1)["failure"]
     assert visitor.one("#preset").get_attribute("value") == ""
 
 
@@ -93,8 +93,8 @@ def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_works
         driver.get(f"{address}?token={running.token}")
         visitor = Explorer(driver)
         visitor.settled()
-        visitor.slider("A_p").send_keys(Keys.HOME)
-        shows(visitor, expected(one, A_p=0.1))
+        visitor.slider("A_g").send_keys(Keys.HOME)
+        shows(visitor, expected(one, A_g=0.1))
         assert driver.current_url == address
         assert console_errors(driver) == []
         assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
@@ -112,16 +112,16 @@ def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_ref
         field.send_keys(Keys.BACKSPACE, text, Keys.ENTER)
 
     types("k", "2.5e9")
-    types("A_p", "0.4567")
-    shows(visitor, expected(one, k=2.5e9, A_p=0.4567))
+    types("A_g", "0.4567")
+    shows(visitor, expected(one, k=2.5e9, A_g=0.4567))
     for text in ("0.9", "much", ""):
-        types("A_p", text)
-        assert visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_p"))
-        assert visitor.one("#A_p").get_attribute("validationMessage")
-        assert visitor.one("#A_p").value_of_css_property("border-color") == "rgb(180, 35, 24)"
-    shows(visitor, expected(one, k=2.5e9, A_p=0.4567))
-    types("A_p", "0.4567")
-    assert not visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_p"))
+        types("A_g", text)
+        assert visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_g"))
+        assert visitor.one("#A_g").get_attribute("validationMessage")
+        assert visitor.one("#A_g").value_of_css_property("border-color") == "rgb(180, 35, 24)"
+    shows(visitor, expected(one, k=2.5e9, A_g=0.4567))
+    types("A_g", "0.4567")
+    assert not visitor.driver.execute_script("return arguments[0].matches(':invalid')", visitor.one("#A_g"))
     assert visitor.one("#k").get_attribute("value") == "2.5e9"
 
 

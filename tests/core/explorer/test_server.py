@@ -18,7 +18,7 @@ from activefail.pages.explorer import server as explorer_server
 from activefail.pages.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
 
 POINT = [0.06, 2e9, 4.0, 0.5]
-FORM = form(POINT, across="T_p", up="A_p", shown="failure", along="A_p")
+FORM = form(POINT, across="T_g", up="A_g", shown="failure", along="A_g")
 
 
 class Reply:
@@ -128,15 +128,15 @@ def test_another_site_s_page_may_not_ask(server):
 @pytest.mark.parametrize(
     ("question", "what", "status", "says"),
     [
-        ("predict", FORM | {"A_p": 9.0}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
+        ("predict", FORM | {"A_g": 9.0}, 400, "A_g: must lie between 0.1 and 0.8, got 9.0"),
         ("predict", {"k": "2e9"}, 400, "mu: must lie between 0.02 and 0.12, got None"),
         ("predict", [1.0], 400, "must be a JSON object"),
         *(
-            ("predict", FORM | {"A_p": value}, 400, "A_p: must lie between 0.1 and 0.8")
+            ("predict", FORM | {"A_g": value}, 400, "A_g: must lie between 0.1 and 0.8")
             for value in (float("nan"), 10**400, True, "nan", "much", "", [0.5], {})
         ),
         ("plane", FORM | {"up": "../../etc"}, 400, "up: must be one of mu"),
-        ("plane", FORM | {"up": "T_p"}, 400, "two different variables"),
+        ("plane", FORM | {"up": "T_g"}, 400, "two different variables"),
         ("plane", FORM | {"shown": ["failure"]}, 400, "shown: must be one of impact, failure, uncertainty"),
         ("delete", FORM, 404, "Unknown request"),
     ],

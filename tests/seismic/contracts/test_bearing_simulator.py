@@ -28,7 +28,7 @@ TURNED = DesignSpace(TABLE_1.parameters[::-1])
 KINDS: dict[str, Callable[[], Kind]] = {
     "bearing": lambda: Kind(DfpSimulator.on(TABLE_1, Model(), Tolerance()), TABLE_1),
     "bearing, variables turned round": lambda: Kind(DfpSimulator.on(TURNED, Model(), Tolerance()), TURNED),
-    "bearing that gives up": lambda: Kind(DfpSimulator.on(TABLE_1, Model(), Tolerance(most_steps=900)), TABLE_1),
+    "bearing that gives up": lambda: Kind(DfpSimulator.on(TABLE_1, Model(), Tolerance(most_steps=900)), TABLE_1, True),
 }
 
 

@@ -1,6 +1,8 @@
 """The report of a campaign on the bearing."""
 
+import re
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +12,13 @@ from report.bearings import settings, slow_pictures_of_bearings_empty
 from report.test_report import TINY, Page, made, ran, self_contained
 
 from activefail.analyses.findings import quantities
+from activefail.analyses.findings.results import findings_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import parse_settings
+from activefail.learning.model.threads import one_thread
 from activefail.loop.learning import current
+from activefail.pages.report import evidence, page
 from activefail.seismic.bearing.design import TABLE_1
 from activefail.seismic.features import paper_features
 from activefail.seismic.figures import feature_planes
@@ -98,3 +103,25 @@ def test_what_a_letter_means_is_known_of_the_bearing_s_variables_alone():
 
 def test_powers_in_units_of_the_bearing_s_variables_are_raised():
     assert quantity("k", "N/m^1.5", VARIABLES).axis == "$k$ [N/m¹·⁵]"
+
+
+def test_a_report_without_a_hazard_says_how_to_add_the_fragility(folder, html):
+    assert f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml</code> adds the fragility" in html
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_first_box_of_a_bearing_says_what_to_do_next(html, folder):
+    def step(text: str) -> str:
+        return re.findall(r"<dt>next</dt><dd><code>(activefail \w+)", text)[0]
+
+    assert step(html) == "activefail verify"
+    with open_campaign(folder, write=False) as (campaign, store), one_thread():
+        classifier = current(campaign, store, write=False).classifier
+        found = evidence.evidence_of(campaign, store, classifier)
+        findings = findings_of(folder, campaign, store, classifier)
+        assert {"error", "curve"} <= set(found.missing)
+        steps = []
+        for name in ("error", "curve"):
+            found = replace(found, missing={key: why for key, why in found.missing.items() if key != name})
+            steps.append(step(page.render(findings, found, store)))
+    assert steps == ["activefail compare", "activefail report"]

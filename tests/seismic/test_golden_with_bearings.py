@@ -1,11 +1,11 @@
-"""The commands print what the transcripts say."""
+"""The commands print what the transcripts of campaigns on bearings say."""
 
 import pytest
-from golden.outputs import HERE, NAMES, differences, sections, transcript_of
+from golden.outputs import HERE, SEISMIC, differences, sections, transcript_of
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SEISMIC)
 def test_commands_print_what_the_transcript_says(name: str) -> None:
     former = (HERE / f"{name}.txt").read_text(encoding="utf-8")
     expected, printed = sections(former), sections(transcript_of(name, former))
