@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from campaign.stub import given
 from commandline import activefail
 from explorer.conftest import site_of
 from scipy.special import ndtr
@@ -15,7 +16,6 @@ from activefail.analyses.findings.estimates import ProbabilityFindings
 from activefail.analyses.findings.summary import where_lost
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
-from activefail.campaign.settings import CampaignSettings
 from activefail.estimates.error import expected_error, verify
 from activefail.estimates.estimate import plan_estimate
 from activefail.estimates.hidden import hidden_places
@@ -93,7 +93,7 @@ def settings_of(**changes):
         "classifier.features": "design",
         "limits.numerical_failures": 1.0,
     }
-    return CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+    return given().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
 
 
 def taken(simulator, /, **changes):
@@ -321,10 +321,10 @@ def test_lost_runs_that_mean_failure_are_failures_with_their_cause(tmp_path: Pat
 
 
 def test_the_variable_that_tells_lost_runs_from_the_others_is_named() -> None:
-    campaign = Campaign.of(CampaignSettings().changed({"seed": 1}), simulator=Dies())
+    campaign = Campaign.of(settings_of(), simulator=Dies())
     designs = campaign.space.sobol(64, np.random.default_rng(0))
-    column = campaign.space.names.index("D_tot")
+    column = campaign.space.names.index("x")
     lost = designs[:, column] < np.quantile(designs[:, column], 0.2)
     text = where_lost(campaign.space.names, designs, lost)
-    assert text.startswith(f"{lost.sum()} of 64 runs gave no result, most of them at low D_tot")
+    assert text.startswith(f"{lost.sum()} of 64 runs gave no result, most of them at low x")
     assert "no single variable" in where_lost(campaign.space.names, designs, np.arange(64) % 8 == 0)

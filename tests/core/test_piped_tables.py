@@ -106,15 +106,6 @@ def test_an_export_to_standard_output_is_the_exported_file(home: Path, tmp_path:
     assert result.err.endswith("24 simulations written to standard output\n")
 
 
-def test_a_table_is_simulated_through_pipes(tmp_path: Path, piped) -> None:
-    designs = "T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p\n4.0,0.06,0.6,0.8,0.1,50,2e9,2.0,0.4\n"
-    (tmp_path / "in.csv").write_text(designs)
-    assert activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv").code == 0
-    result = piped(designs, "simulate", "--csv", "-", "--out", "-")
-    assert (result.code, result.out) == (0, (tmp_path / "out.csv").read_text())
-    assert "1 designs in " in result.err
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [

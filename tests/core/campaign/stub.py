@@ -12,6 +12,7 @@ from activefail.space.space import Array
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.campaign.settings import CampaignSettings
 
 LOW, HIGH = np.array([-2.0, 10.0]), np.array([3.0, 50.0])
 CENTRE, RADIUS = np.array([0.55, 0.4]), 0.32
@@ -97,6 +98,13 @@ class Counting:
         with self._lock:
             self.rows += len(X)
         return Disc().run(X)
+
+
+def given() -> "CampaignSettings":
+    """Settings of a campaign whose simulator, which is safe or fails, is given as an object."""
+    from activefail.campaign.settings import parse_settings
+
+    return parse_settings('simulator.python = "given:run"\nspace.x = { low = 0.0, high = 1.0 }\n', "given")
 
 
 def disc(

@@ -451,8 +451,9 @@ def test_remembering_can_be_switched_off(mine: Path, tmp_path: Path, state: Path
 
 
 def test_a_campaign_without_custom_code_leaves_no_note(tmp_path: Path, state: Path) -> None:
-    (tmp_path / "bearing.toml").write_text("sampling = { initial = 4, budget = 4, batch = 2 }\n")
-    af.create_run(tmp_path / "run", tmp_path / "bearing.toml").close()
+    text = "sampling = { initial = 4, budget = 4, batch = 2 }\nspace.x = { low = 0, high = 1 }\n"
+    (tmp_path / "made.toml").write_text(f"simulator.elsewhere = true\n{text}")
+    af.create_run(tmp_path / "run", tmp_path / "made.toml").close()
     assert activefail("status", tmp_path / "run").code == 0
     af.open_run(tmp_path / "run", code=tmp_path).close()
     assert list(state.iterdir()) == []

@@ -10,6 +10,7 @@ from commandline import activefail
 from faults.harness import Course, few, finished
 from faults.test_kills import begun
 from faults.victim import COMMITS
+from pounding import write_campaign
 from record.test_run_folder import SCHEMA, SETTINGS, WRITES, batch, contents, entries
 
 from activefail.errors import StoreError
@@ -184,7 +185,7 @@ def test_a_last_batch_that_is_damaged_is_simulated_again_to_the_same_campaign(
 
 
 def test_a_damaged_folder_brings_no_command_to_a_traceback(tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text("sampling = { initial = 20, budget = 30, batch = 5 }\n")
+    write_campaign(tmp_path / "tiny.toml", "sampling = { initial = 20, budget = 30, batch = 5 }\n")
     folder = tmp_path / "run"
     assert activefail("run", tmp_path / "tiny.toml", "--out", folder, "--budget", "22").code == 0
     path, places = folder / "journal", entries(folder)

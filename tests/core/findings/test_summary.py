@@ -79,7 +79,7 @@ def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("features", "words"),
     [
-        ('"sliding"', "sliding"),
+        ('"decorrelated"', "decorrelated"),
         ('{ expressions = { ratio = "T_b / T_p", slip = "mu / A_p" } }', "variables, ratio, slip"),
         ('{ expressions = { ratio = "T_b / T_p" }, variables = false }', "ratio"),
         ('{ python = "mine:physics" }', "variables, mine:physics"),
@@ -87,6 +87,7 @@ def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
     ],
 )
 def test_the_settings_in_brief_name_all_that_the_classifier_sees(features: str, words: str) -> None:
-    settings = parse_settings(f"classifier.features = {features}", "test")
+    text = "simulator.elsewhere = true\nspace.T_b = { low = 1, high = 5 }\nspace.T_p = { low = 1, high = 5 }\n"
+    settings = parse_settings(f"{text}classifier.features = {features}", "test")
     assert features_in_words(settings) == words
     assert settings.needs_code == ("python" in features)

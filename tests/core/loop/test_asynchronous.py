@@ -14,6 +14,7 @@ from campaign.stub import HIGH, LOW, Brittle, Disc, Dozing, disc
 from cases import some
 from commandline import activefail, record, started, wait_for
 from patience import PATIENCE, until
+from pounding import write_campaign
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError, SimulationError
@@ -350,10 +351,9 @@ def test_real_workers_answer_in_the_order_of_their_coming_and_the_record_says_al
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_an_asynchronous_campaign_of_bearings_is_run_resumed_and_reported(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(
-        "seed = 2\nsampling = { initial = 20, budget = 30, batch = 4, asynchronous = true }\n"
-    )
+def test_an_asynchronous_campaign_of_the_command_line_is_run_resumed_and_reported(tmp_path: Path) -> None:
+    text = "seed = 2\nsampling = { initial = 20, budget = 30, batch = 4, asynchronous = true }\n"
+    write_campaign(tmp_path / "mine.toml", text)
     assert activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--budget", "26").code == 0
     assert activefail("resume", tmp_path / "run", "--budget", "30").code == 0
     rows = record(tmp_path / "run")

@@ -13,11 +13,12 @@ from campaign.stub import Brittle, Counting, Disc, Raising, disc, distance
 from cases import some
 from loop.test_asynchronous import first_events
 from patience import PATIENCE
+from pounding import write_campaign
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.random_streams import stream
-from activefail.campaign.settings import parse_settings
+from activefail.campaign.settings import read_settings
 from activefail.errors import SimulationError
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model import fitting
@@ -611,13 +612,13 @@ def test_halted_within_the_seed_by_a_smaller_budget_and_resumed_a_campaign_goes_
     assert learned(store) == learned(straight)
 
 
-# --- the bearing, killed -----------------------------------------------------------------------------------------
+# --- killed --------------------------------------------------------------------------------------------------------
 
 # With a budget that is never reached: the killer may come late.
-BEARING = "seed = 11\nsampling = { initial = 40, budget = 5000, batch = 5 }\n"
+ENDLESS = "seed = 11\nsampling = { initial = 40, budget = 5000, batch = 5 }\n"
 
 
-def _kill_after(command: list[str], folder: Path, number: int, delay: float) -> None:
+def kill_after(command: list[str], folder: Path, number: int, delay: float) -> None:
     """Start a command and kill it -9 some time after there are so many batches, wherever it is by then."""
     log = folder.parent / f"killed-{number}.txt"
     with log.open("w") as file:
@@ -642,16 +643,16 @@ def _batches(folder: Path) -> int:
 
 
 @pytest.mark.faults
-def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
-    (tmp_path / "bearing.toml").write_text(BEARING)
+def test_a_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
+    write_campaign(tmp_path / "made.toml", ENDLESS)
     folder = tmp_path / "run"
     delays = np.random.default_rng(time.time_ns()).uniform(0.0, 0.2, 2).tolist()
-    begin = ["run", str(tmp_path / "bearing.toml"), "--out", str(folder), "--workers", "2"]
-    _kill_after(begin, folder, 2, delays[0] / 10.0)
-    _kill_after(["resume", str(folder), "--workers", "1"], folder, 9, delays[1])
+    begin = ["run", str(tmp_path / "made.toml"), "--out", str(folder), "--workers", "2"]
+    kill_after(begin, folder, 2, delays[0] / 10.0)
+    kill_after(["resume", str(folder), "--workers", "1"], folder, 9, delays[1])
 
-    campaign = Campaign.of(parse_settings(BEARING, "bearing"))
-    with open_campaign(folder, write=True) as (reopened, store):
+    campaign = Campaign.of(read_settings(tmp_path / "made.toml"), tmp_path)
+    with open_campaign(folder, write=True, code=tmp_path) as (reopened, store):
         assert len(store.batches) >= 9
         budget = max(120, 5 * len(store.batches) + 5)
         straight = take(campaign, budget=budget, workers=2)

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from campaign.stub import given
 from cases import some
 from rare import four_branch
 
 from activefail.analyses.findings.learned_from import choices_in_words
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model import margin
@@ -69,7 +70,7 @@ def campaign_on(simulator, **changes):
         "classifier.features": "design",
         "stop": {"probability": "failure", "cov": 0.2},
     }
-    settings = CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+    settings = given().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
     return Campaign.of(settings, simulator=simulator)
 
 
@@ -153,7 +154,7 @@ def test_a_check_reaches_a_rare_choice_that_was_never_simulated() -> None:
     shares, rare = np.roll([0.01, *[0.99 / 29] * 29], 14), 14
     kind = {"choices": [f"c{number}" for number in range(30)], "probabilities": shares.tolist()}
     x = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
-    settings = CampaignSettings().changed({"space": {"x": x, "kind": kind}, "classifier.features": "design"})
+    settings = given().changed({"space": {"x": x, "kind": kind}, "classifier.features": "design"})
     campaign = Campaign.of(settings, simulator=FourBranch())
     looks = Looks(np.array([[0.0, 0.01, 0.001, 0.0]]))
     classifier = Classifier(("safe", "failure"), campaign.features, ())

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from campaign.stub import given
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
-from activefail.campaign.settings import CampaignSettings
 from activefail.estimates.estimate import plan_estimate
 from activefail.estimates.probability_estimator import Estimator, Sampled
 from activefail.execution.local import ThreadExecutor
@@ -38,7 +38,7 @@ class Nearly:
 def test_the_same_fresh_simulations_answer_for_all_outcomes_and_no_worse_one_is_likelier() -> None:
     normal = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
     keys = {"space": {"x": normal, "y": normal}, "sampling.initial": 60, "sampling.budget": 60}
-    campaign = Campaign.of(CampaignSettings().changed({**keys, "classifier.features": "design"}), simulator=Nearly())
+    campaign = Campaign.of(given().changed({**keys, "classifier.features": "design"}), simulator=Nearly())
     store, question = MemoryStore(campaign.schema), Question.of_space(campaign.space)
     with ThreadExecutor(1) as executor:
         run(campaign, store, executor, 60)

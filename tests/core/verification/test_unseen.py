@@ -5,13 +5,14 @@ import json
 
 import numpy as np
 import pytest
+from campaign.stub import given
 from cases import some
 from commandline import activefail
 from rare import four_branch
 
 from activefail.analyses.findings.summary import Summary
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.campaign.settings import parse_settings
 from activefail.estimates.confidence_bounds import unseen_outcomes
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.history import History
@@ -44,6 +45,7 @@ class NeverFails(FourBranch):
 def campaign_on(simulator, criterion="eavc", budget=60, extra="", seed=0):
     text = f"""
         seed = {seed}
+        simulator.python = "given:run"
         sampling = {{ initial = 30, budget = {budget}, batch = 5 }}
         classifier.features = "design"
         acquisition = {{ criterion = "{criterion}", boundary = "failure" }}
@@ -113,7 +115,7 @@ def test_the_same_campaign_searches_at_the_same_designs_again(searched):
 
 def warning(outcomes, initial, chosen):
     counts = (np.array([*numbers], dtype=np.int64) for numbers in (initial, chosen, [0] * len(initial)))
-    return Summary(CampaignSettings(), outcomes, 1, *counts, (), 0).unseen_warning
+    return Summary(given(), outcomes, 1, *counts, (), 0).unseen_warning
 
 
 def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
