@@ -10,6 +10,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+import wings
 from patience import PATIENCE
 from tools import missing
 
@@ -19,6 +20,10 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 pytest_plugins = ("ran",)
+
+# Not for what the tests start.
+_file = os.environ.pop(wings.COUNTED, "")
+COUNTED = Path(_file) if _file else None
 
 # A shell that runs the suite in the background has it ignore Ctrl-C, and all that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -143,6 +148,22 @@ def survived(request: pytest.FixtureRequest) -> Callable[[int], None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    report_faults(terminalreporter)
+    report_the_core(terminalreporter)
+
+
+def report_the_core(terminalreporter: pytest.TerminalReporter) -> None:
+    """Keep what the run of the core's tests counted; after the other wing's, print it (`wings`)."""
+    if not COUNTED:
+        return
+    if COUNTED.exists():
+        terminalreporter.write_line(f"tests/core: {COUNTED.read_text()}")
+    else:
+        parts, _ = terminalreporter.build_summary_stats_line()
+        COUNTED.write_text(", ".join(text for text, _ in parts))
+
+
+def report_faults(terminalreporter: pytest.TerminalReporter) -> None:
     """Report how many faults were tried, survived and skipped."""
     reports = [
         (status, report)

@@ -1,6 +1,6 @@
 """Runs the tests of both wings: those of the core on a copy of the repository without the plug-in, the plug-in's here.
 
-`python tests/wings.py WORD...` runs pytest with these words, once for each wing. It fails if either run fails.
+`python tests/wings.py WORD...` runs pytest with these words, once for each wing, and fails if either run fails.
 """
 
 import os
@@ -14,6 +14,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 COPY = ROOT / "build" / "core"
 FOLDERS = ("activefail", "campaigns", "docs", "studies", "tests", ".ci")
+
+COUNTED = "ACTIVEFAIL_TESTS_COUNTED"
+"""The variable with the file of what the first run counted; the second run prints it (tests/conftest.py)."""
 
 
 def copy_the_core() -> None:
@@ -29,8 +32,9 @@ def copy_the_core() -> None:
 def run_pytest(folder: Path, tests: str, words: list[str]) -> int:
     """The exit status of pytest in a folder, on the package in it; 0 if the words select none of these tests."""
     path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": path, COUNTED: str(COPY / "counted.txt")}
     command = [sys.executable, "-m", "pytest", tests, *words]
-    status = subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": path}, check=False).returncode
+    status = subprocess.run(command, cwd=folder, env=environment, check=False).returncode
     return 0 if status == pytest.ExitCode.NO_TESTS_COLLECTED else status
 
 

@@ -100,7 +100,7 @@ def test_the_processes_of_a_program_that_is_killed_end(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(
         "import sys\nfrom pathlib import Path\n"
-        f"sys.path.append({str(Path(__file__).parents[1])!r})\n"
+        f"sys.path.extend({[str(Path(__file__).parents[place]) for place in (1, 2)]!r})\n"
         "from activefail.execution.pool import ProcessPool\nfrom execution.test_pool import sleep\n"
         "if __name__ == '__main__':\n"
         "    with ProcessPool(2, '') as pool:\n"
