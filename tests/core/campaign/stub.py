@@ -104,7 +104,8 @@ def given() -> "CampaignSettings":
     """Settings of a campaign whose simulator, which is safe or fails, is given as an object."""
     from activefail.campaign.settings import parse_settings
 
-    return parse_settings('simulator.python = "given:run"\nspace.x = { low = 0.0, high = 1.0 }\n', "given")
+    text = 'simulator = { python = "given:run", repeatable = true }\nspace.x = { low = 0.0, high = 1.0 }\n'
+    return parse_settings(text, "given")
 
 
 def disc(
@@ -126,7 +127,7 @@ def disc(
         seed = {seed}
         sampling = {{ initial = {initial}, budget = {budget}, batch = {batch}, asynchronous = {without_batches} }}
         {extra}
-        simulator = {{ python = "disc:run", outcomes = ["safe", "broken"] }}
+        simulator = {{ python = "disc:run", outcomes = ["safe", "broken"], repeatable = true }}
         classifier.features = "design"
         acquisition.boundary = "broken"
         space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}

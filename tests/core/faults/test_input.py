@@ -72,9 +72,7 @@ _ANSWERS = {"outcomes": ["safe", "damage", "failure"], "margins": ["gap", "tilt"
 GOODS = (
     full(_OWN | {"simulator": {"python": "own_model:run"} | _ANSWERS}),
     full(_OWN | {"simulator": {"command": "model {here} {drift:.3f} {T} {mu} {storeys} {out}"} | _ANSWERS}),
-    full(
-        _OWN | {"simulator": {"elsewhere": True} | _ANSWERS, "classifier": {"features": {"python": "own_features:own"}}}
-    ),
+    full(_OWN | {"simulator": {"python": "own_model:run"}, "classifier": {"features": {"python": "own_features:own"}}}),
 )
 """Settings of a custom function, of a custom program, and of custom features."""
 

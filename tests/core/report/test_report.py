@@ -264,7 +264,7 @@ def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
         classifier = current(campaign, store, write=False).classifier
     scales = classifier.latent("failure").length_scales
     rows = Page(html).tables["lengths"][1:]
-    shown = {row[0]: row[4] for row in rows}
+    shown = {row[0]: row[3] for row in rows}
     names = [quantity.text.replace("_", "") for quantity in quantities.features(campaign)]
     assert shown == {name: significant(float(value), 2) for name, value in zip(names, scales, strict=True)}
 
@@ -338,7 +338,7 @@ def other(dimension: int) -> Campaign:
     text = f"""
         seed = 1
         sampling = {{ initial = 12, budget = 16, batch = 4 }}
-        simulator = {{ python = "ball:run", outcomes = ["safe", "broken"] }}
+        simulator = {{ python = "ball:run", outcomes = ["safe", "broken"], repeatable = true }}
         classifier.features = "design"
         acquisition.boundary = "broken"
         {space}

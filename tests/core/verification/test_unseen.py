@@ -8,6 +8,7 @@ import pytest
 from campaign.stub import given
 from cases import some
 from commandline import activefail
+from pounding import NAMES, write_campaign
 from rare import four_branch
 
 from activefail.analyses.findings.summary import Summary
@@ -45,7 +46,7 @@ class NeverFails(FourBranch):
 def campaign_on(simulator, criterion="eavc", budget=60, extra="", seed=0):
     text = f"""
         seed = {seed}
-        simulator.python = "given:run"
+        simulator = {{ python = "given:run", repeatable = true }}
         sampling = {{ initial = 30, budget = {budget}, batch = 5 }}
         classifier.features = "design"
         acquisition = {{ criterion = "{criterion}", boundary = "failure" }}
@@ -133,29 +134,20 @@ def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
     assert "without them and 2 numerical failures)" in warning(("safe", "impact", "failure"), (30, 0, 0, 2), (0,) * 4)
 
 
+MILD = 'simulator = { python = "mild:run", outcomes = ["no_impact", "impact", "failure"] }\n'
+
+
 @pytest.fixture(scope="module")
-def gentle(tmp_path_factory):
-    """A campaign on bearings under pulses that move none of them to its rim, and what its commands say."""
+def gentle(tmp_path_factory, simulations_in_this_process):
+    """A campaign on buildings that nothing moves into each other, and what its commands say."""
     folder = tmp_path_factory.mktemp("gentle")
     file = folder / "gentle.toml"
     file.write_text(
         "sampling = { initial = 30, budget = 40, batch = 5 }\n"
-        'stop = { error = 0.05, simulations = 100, every = 1 }\nclassifier.features = "design"\n'
-        + "\n".join(
-            f"space.{name} = {{ low = {low}, high = {high} }}"
-            for name, (low, high) in {
-                "T_b": (3, 4),
-                "mu": (0.08, 0.1),
-                "D_tot": (0.9, 1.0),
-                "h_sl_ratio": (0.6, 0.7),
-                "h_rim_ratio": (0.1, 0.12),
-                "p": (40, 50),
-                "k": (1e9, 2e9),
-                "T_p": (1, 1.5),
-                "A_p": (0.05, 0.1),
-            }.items()
-        )
+        f"stop = {{ error = 0.05, simulations = 100, every = 1 }}\n{MILD}"
+        + "".join(f"space.{name} = {{ low = 1, high = 1.5 }}\n" for name in NAMES)
     )
+    (folder / "mild.py").write_text("def run(design):\n    return 'no_impact'\n")
     return folder / "run", activefail("run", file, "--out", folder / "run")
 
 
@@ -170,7 +162,7 @@ def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_wha
     for one in (
         result,
         activefail("status", folder),
-        activefail("verify", folder, "--simulations", "20"),
+        activefail("verify", folder, "--simulations", "20", "--code", folder.parent),
     ):
         assert one.code == 0
         assert f"warning: {warning}" in one.err
@@ -188,7 +180,8 @@ def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_wha
 
 
 def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_path):
-    with create_run(tmp_path / "run", gentle[0].with_name("gentle.toml")) as begun:
+    home = gentle[0].parent
+    with create_run(tmp_path / "run", home / "gentle.toml", code=home) as begun:
         assert begun.summary.unseen_warning == ""
         assert begun.take(budget=12).finished
     for one in (activefail("status", tmp_path / "run"), activefail("resume", tmp_path / "run", "--budget", "12")):
@@ -198,7 +191,7 @@ def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_pat
 
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):
     file = tmp_path / "small.toml"
-    file.write_text("sampling = { initial = 4, budget = 4 }\nstop = { error = 0.005, simulations = 100 }\n")
+    write_campaign(file, "sampling = { initial = 4, budget = 4 }\nstop = { error = 0.005, simulations = 100 }\n")
     result = activefail("run", file, "--out", tmp_path / "run")
     assert result.code == 0
     assert "stop.simulations: with 100 simulations the first look cannot show an error below 3.0 %" in result.err
