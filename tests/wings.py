@@ -22,9 +22,9 @@ COUNTED = "ACTIVEFAIL_TESTS_COUNTED"
 def copy_the_core() -> None:
     """Copy the repository, but neither the plug-in nor its tests."""
     shutil.rmtree(COPY, ignore_errors=True)
-    for name in FOLDERS:
+    for folder in filter(Path.is_dir, map(ROOT.joinpath, FOLDERS)):
         # With times and compiled modules: else Python would compile them again.
-        shutil.copytree(ROOT / name, COPY / name, ignore=shutil.ignore_patterns("seismic"))
+        shutil.copytree(folder, COPY / folder.name, ignore=shutil.ignore_patterns("seismic"))
     for file in filter(Path.is_file, ROOT.glob("[!.]*")):
         shutil.copy2(file, COPY)
 

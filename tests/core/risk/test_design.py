@@ -645,19 +645,6 @@ def test_a_line_that_fewer_points_call_feasible_is_judged_again() -> None:
     assert found.values["y"] == pytest.approx(0.5, abs=0.06)
 
 
-def test_variables_of_the_pulse_cannot_be_free_under_a_hazard() -> None:
-    mean, sd = moments("lognormal", None, None, {"median": 1.0, "dispersion": 0.4})
-    pulses = DesignSpace(
-        (
-            Parameter("T_p", 0.1, 9.0, "s", "lognormal", mean, sd),
-            Parameter("PGV", 0.01, 9.0, "m/s", "lognormal", mean, sd),
-        )
-    )
-    question = Question("made", ("D_tot", "T_p", "A_p"), pulses, {"D_tot": 0.6})
-    with pytest.raises(InputError, match="A_p: cannot have a value, because it follows from PGV"):
-        question.at({"A_p": 0.5})
-
-
 @pytest.mark.parametrize(
     ("options", "parts"),
     [
