@@ -174,6 +174,12 @@ def test_where_a_plot_cannot_be_written_its_name_and_the_reason_are_told(tmp_pat
     assert f"activefail: {target}: cannot be written: Is a directory" in result.err
 
 
+def test_the_bearing_is_described_and_checked(tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text("seed = 1\n")
+    done = activefail("check", tmp_path / "bearing.toml")
+    assert (done.code, "agrees" in done.out, "T_b [s]: 2.5 to 5.5" in done.out) == (0, True, True), done
+
+
 @pytest.mark.parametrize("own", ["campaign.toml", "journal", "checkpoint.h5", "simulations/x/o.csv"])
 def test_no_command_of_bearings_writes_over_a_run_folder_s_own_files(tmp_path: Path, own: str) -> None:
     folder = Path(shutil.copytree(STORED, tmp_path / "run"))
