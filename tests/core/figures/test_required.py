@@ -4,10 +4,13 @@ import numpy as np
 
 from activefail.analyses.design.required_chart import RequiredChart
 from activefail.pages.figures.risk import Mark, plot_required
-from activefail.seismic.quantities import VARIABLES
-from activefail.text.quantities import custom_quantity
+from activefail.text.quantities import Quantity, custom_quantity
 
-SHOWN = {name: VARIABLES[name] for name in ("D_tot", "T_b", "mu")}
+SHOWN = {
+    "D_tot": Quantity("D_tot", "$D_{tot}$", "D_tot", "m", "displacement capacity"),
+    "T_b": Quantity("T_b", "$T_b$", "T_b", "s", "period"),
+    "mu": Quantity("mu", r"$\mu$", "μ", "", "friction coefficient"),
+}
 
 
 def chart(targets: int = 3, name: str = "mu") -> RequiredChart:
