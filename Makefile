@@ -54,9 +54,10 @@ doctor: $(VENV)/.installed
 before-tests: $(VENV)/.installed
 	@$(MAKE) --no-print-directory --jobs 2 check doctor
 
-# A process for each core, at most four. Files come in the order of their names: if those with most tests came first, the
-# slow files, which have few, would come last.
-PYTEST = $(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+# Two runs: the core's tests on a copy without the plug-in, and the plug-in's (tests/wings.py). A process for each core, at
+# most four. Files come in the order of their names: if those with most tests came first, the slow files, which have few,
+# would come last.
+PYTEST = $(BIN)/python tests/wings.py -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test: before-tests
 	$(PYTEST) -m "not faults and not slow"

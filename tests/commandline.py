@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from unittest import mock
 import held
 import pytest
 import typer
-from patience import until
+from patience import PATIENCE, until
 
 from activefail.cli import app, main
 from activefail.record.run_folder import FolderStore
@@ -151,6 +151,25 @@ def started(
     finally:
         process.kill()
         process.communicate()
+
+
+def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
+    """Send Ctrl-C to a process and all that it has started; its output then. None of them may be left."""
+    os.killpg(process.pid, signal.SIGINT)
+    then()
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+
+    def gone() -> bool:
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+    until(gone, "the end of all that it had started")
+    return err
 
 
 @dataclass(frozen=True)

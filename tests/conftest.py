@@ -5,10 +5,12 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import hypothesis
 import pytest
+import wings
 from patience import PATIENCE
 from tools import missing
 
@@ -18,6 +20,10 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 pytest_plugins = ("ran",)
+
+# Not for what the tests start.
+_file = os.environ.pop(wings.COUNTED, "")
+COUNTED = Path(_file) if _file else None
 
 # A shell that runs the suite in the background has it ignore Ctrl-C, and all that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -64,7 +70,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before processes side by side would each compile it, and say that they do."""
-    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+    first = not hasattr(session.config, "workerinput") and not session.config.option.collectonly
+    if first and find_spec("activefail.seismic") is not None:
         from activefail.seismic.bearing import TABLE_1, simulate
 
         simulate(TABLE_1.from_unit([[0.5] * 9]))
@@ -141,6 +148,22 @@ def survived(request: pytest.FixtureRequest) -> Callable[[int], None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    report_faults(terminalreporter)
+    report_the_core(terminalreporter)
+
+
+def report_the_core(terminalreporter: pytest.TerminalReporter) -> None:
+    """Keep what the run of the core's tests counted; after the other wing's, print it (`wings`)."""
+    if not COUNTED:
+        return
+    if COUNTED.exists():
+        terminalreporter.write_line(f"tests/core: {COUNTED.read_text()}")
+    else:
+        parts, _ = terminalreporter.build_summary_stats_line()
+        COUNTED.write_text(", ".join(text for text, _ in parts))
+
+
+def report_faults(terminalreporter: pytest.TerminalReporter) -> None:
     """Report how many faults were tried, survived and skipped."""
     reports = [
         (status, report)

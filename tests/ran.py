@@ -1,5 +1,6 @@
 """Campaigns that are run once for all tests that only read them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,14 @@ def ran_in(home: Path, campaign: str, code: str) -> Path:
     with create_run(home / "run", home / "mine.toml", code=home) as opened:
         opened.take(workers=1)
     return home
+
+
+@pytest.fixture(scope="module")
+def simulations_in_this_process() -> Iterator[None]:
+    """Simulate in a thread, where numbers and messages are claimed: starting processes takes most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("activefail.execution.local.ProcessExecutor", lambda *_: ThreadExecutor(1))
+        yield
 
 
 @dataclass(frozen=True)

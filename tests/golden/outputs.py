@@ -19,7 +19,10 @@ from commandline import activefail
 from activefail.campaign.provenance import provenance
 
 HERE = Path(__file__).parent
-NAMES = ("asynchronous", "batch", "elsewhere", "margins", "rare", "records")
+CORE = ("asynchronous", "elsewhere", "margins", "rare")
+SEISMIC = ("batch", "records")
+"""Those on bearings."""
+NAMES = (*CORE, *SEISMIC)
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 _VARYING = [

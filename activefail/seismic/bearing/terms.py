@@ -17,8 +17,9 @@ class Terms(NamedTuple):
     dish by δ, so the circles on which the vertices of a tilted slider move have the radius r = √(A² + D_sl²/4) with
     A = √(R² − D_sl²/4) + δ, and centres L = R_eff + 2δ apart. At a tilt α the plate is displaced by L sin α and pushed
     by W tan(α + ψ), where ψ has the friction of both dishes: sin ψ = 2r² sin(atan μ)/(L A). A vertex is at a rim at
-    α = asin(D_out/2r) − asin(D_sl/2r). Slow pushes agree within 1 % (tests/bearing/test_terms.py), and within 4 % for
-    the highest slider of Table 1 in its smallest dishes with the softest contacts, where friction tilts the slider too.
+    α = asin(D_out/2r) − asin(D_sl/2r). Slow pushes agree within 1 % (tests/seismic/bearing/test_terms.py), and within
+    4 % for the highest slider of Table 1 in its smallest dishes with the softest contacts, where friction tilts the
+    slider too.
     """
 
     effective_radius: float  # R_eff [m]
