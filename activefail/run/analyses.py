@@ -141,7 +141,7 @@ def _range(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"--range: must be two numbers separated by a comma, got {text!r}.") from None
+        raise ValueError("must be two numbers separated by a comma") from None
     return low, high
 
 
@@ -328,20 +328,33 @@ def sensitivity(
         return calculation.sensitivity(asked, boundaries, outcome, *options, run.classifier, p_values, beyond)
 
 
-@analysis()
+def _sizes(text: str) -> list[int]:
+    try:
+        return sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise ValueError("must be whole numbers separated by commas") from None
+
+
+@analysis("runs/first --static 500,1000,2000")
 def compare(
     run: Session,
-    budgets: "Sequence[int]" = option((), "Numbers of simulations of the campaign; six by default."),
-    test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000),
-    static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default."),
-    hypercubes: int = option(1, "Number of static designs of each size.", low=1),
+    budgets: "Sequence[int]" = option(
+        (),
+        "Numbers of simulations of the campaign, such as 250,500; six by default.",
+        str,
+        parse=_sizes,
+    ),
+    test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000, names=("--test",)),
+    static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default.", str, parse=_sizes),
+    hypercubes: int = option(1, "Number of static designs of each size.", low=1, names=("--seeds",)),
     *,
     executor: "Executor | None" = None,
     stage: Stage = silent,
 ) -> "ComparisonFindings":
     """Compare the campaign with static designs on the same fresh designs.
 
-    Writes a table and a figure to the subfolder `compare` of the run folder.
+    Ends with the size of a static design that is as accurate. Writes a table and a figure to the subfolder `compare`
+    of the run folder.
     """
     from activefail.analyses.comparison.equivalent import ComparisonFindings
     from activefail.analyses.comparison.static import compare, remember_scores, write_scores

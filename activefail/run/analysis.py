@@ -56,7 +56,7 @@ class Option(NamedTuple):
         names: on the command line, if they are not the argument's.
         is_argument: whether the command line takes it by its place, without a name.
         metavar: what stands for its value there, if it is not the type.
-        parse: makes the value of a word.
+        parse: makes the value of a word; a ValueError states the rule that the word breaks.
         with_out: whether it is for the pages alone, and so off without `--out`.
         parts: if the value is an object: the options of the command line that make it, by the names of its arguments.
         needs, bars: the option without which, or beside which, this one has no effect, so that it is refused.

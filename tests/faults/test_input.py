@@ -363,7 +363,7 @@ def test_a_bad_cell_at_the_end_of_a_million_rows_is_refused_in_little_memory(tmp
 OPTIONS = {
     "run": ["--out", "--seed", "--budget", "--workers", "--executor", "--scheduler"],
     "resume": ["--budget", "--workers", "--numerical-failures", "--code", "--executor", "--scheduler"],
-    "compare": ["--budgets", "--seeds", "--test", "--jobs", "--criteria", "--static", "--features", "--code"],
+    "compare": ["--budgets", "--seeds", "--test", "--static", "--code"],
     "verify": ["--simulations", "--confidence", "--code"],
     "predict": ["--csv", "--out", "--code"],
     "export": ["--csv", "--code"],
