@@ -516,7 +516,6 @@ def test_the_command_designs_over_choices_and_takes_one_with_a_comma(beams: Path
     numbers = json.loads(shown.out)
     assert numbers["bearing"]["steel"] == "hard, hot rolled"
     assert numbers["cost"] == {"expression": "the place of steel among soft, hard, hot rolled, special", "value": 1.0}
-    assert numbers["first_free_variable_by_confidence"] == {}
     found = activefail("probability", beams / "run", "--code", beams, "--fixed", tmp_path / "out" / "design.toml")
     again = activefail("probability", beams / "run", "--code", beams, "--fixed", "width=1.0,steel=hard, hot rolled")
     assert found.code == again.code == 0, again.err
