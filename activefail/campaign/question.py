@@ -279,9 +279,6 @@ def _written(text: str, space: DesignSpace) -> dict[str, Any]:
     """Values by name in a text such as "T_b=4.0,soil=A"; those of variables without choices are numbers.
 
     What follows a choice and is no value belongs to it: "soil=dense, dry".
-
-    Raises:
-        InputError: quoting the part that is no value.
     """
     values: dict[str, Any] = {}
     with_choices, name = {one.name for one in space.parameters if one.choices}, ""

@@ -158,12 +158,6 @@ def fragility(
         None, "Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", Path, bars="wrong"
     ),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED,
-    intensity: Literal["pgv", "a_p"] = option(
-        "pgv",
-        "With --hazard: peak ground velocity, or amplitude of the pulses.",
-        Literal["pgv", "a_p"],
-        needs="hazard",
-    ),
     against: str | None = option(None, "Without --hazard: the variable of the curves.", metavar="VARIABLE"),
     bounds: tuple[float, float] | None = option(
         None,
@@ -197,7 +191,7 @@ def fragility(
 
     outcome = boundary_named(run, outcome)
     asked = Inquiry.of(run.campaign, hazard, question, fixed)
-    ladder = ladder_of(asked, intensity, against, bounds)
+    ladder = ladder_of(asked, against, bounds)
     if 0 < verify < LEAST:
         raise InputError(f"verify: must be at least {LEAST}, got {verify}.")
     if bounds is not None:

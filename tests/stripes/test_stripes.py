@@ -503,8 +503,6 @@ def test_what_has_no_finite_answer_is_refused(folder: Path, words: tuple[str, ..
         ("design", "--target 0.1 --at-once 2", "--at-once: requires --wrong."),
         ("fragility", "--against x --wrong 0.01 --verify 100", "--verify: cannot be combined with --wrong."),
         ("fragility", "--wrong 0.01 --hazard site.toml", "--hazard: cannot be combined with --wrong."),
-        ("fragility", "--against x --intensity a_p", "--intensity: requires --hazard."),
-        ("fragility", "--against x --intensity pgv", "--intensity: requires --hazard."),
         ("fragility", "--hazard site.toml --range 1,2", "--range: requires --against."),
     ],
 )

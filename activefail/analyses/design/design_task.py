@@ -215,9 +215,6 @@ def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Require
         text: the targets.
         outcomes: of the campaign, from least to most severe.
         main: outcome of a target without a name.
-
-    Raises:
-        InputError: naming the rule and the value.
     """
     requirements: list[Requirement] = []
     for part in text.split(","):
@@ -278,9 +275,6 @@ def design_task(
         confidence: that the targets are met.
         simulations: most for each target.
         rate: how often the question's pulses occur, if the targets were risks.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
     """
     space, question = asked.campaign.space, asked.question
     names = tuple(free) or ((DEFAULT_FREE,) if DEFAULT_FREE in space.names else ())

@@ -80,7 +80,7 @@ class DesignFindings:
             if (upper := hazard.at_bound("upper")).factors:
                 at_upper = probabilities(at_design.under(upper))
             if task.rate is not None:
-                at_least = probabilities(at_design.under(hazard, (hazard.intensity, task.rate.velocity)))
+                at_least = probabilities(at_design.under(hazard, task.rate.velocity))
         outside = designed.question.outside(task.asked.campaign.space)
         noise = tuple(noise_notes(estimator.classifier))
         return cls(designed, outside, at_upper, at_least, chart, noise)

@@ -1,21 +1,16 @@
-"""A probability against one variable, on a ladder of levels: its capacities, its lognormal fit, and its risk."""
+"""A probability against one variable, on a ladder of levels: its capacities and its risk."""
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import ndtr
 
 from activefail.space.shares import percent
 from activefail.space.space import Array
 
 _LEAST, _MOST = 0.1, 0.5
 """A curve that stays above the first or below the second has no median to fit."""
-
-_STARTS = (0.1, 0.3, 0.8)
-"""Dispersions from which the fit begins."""
 
 YEARS = 50.0
 """Years of the stated risk."""
@@ -123,59 +118,13 @@ class Curve:
         return Fall(size, self.ladder.level(coordinates[start]), self.ladder.level(coordinates[end]))
 
 
-class Lognormal(NamedTuple):
-    """A lognormal curve beside another curve."""
-
-    median: float
-    dispersion: float  # β, the standard deviation of the level's logarithm
-    largest_misfit: float  # largest difference to the curve at a level of the ladder
-    largest_misfit_at: float  # this level
-    rises: bool
-
-    def at(self, levels: Array | float) -> Array:
-        """Probabilities at levels."""
-        z = np.log(np.asarray(levels) / self.median) / self.dispersion
-        return np.asarray(ndtr(z if self.rises else -z))
-
-
 def why_not_fitted(curve: Curve) -> str:
-    """Why no lognormal curve is fitted; empty if one is."""
+    """Why no lognormal curve is fitted to the capacities of values with this curve; empty if one is."""
     if curve.ladder.levels[0] <= 0.0:
         return "some levels of the curve are not positive"
     if curve.probability.max() < _MOST or curve.probability.min() > _LEAST:
         return f"the curve does not cover {100.0 * _LEAST:g} % to {100.0 * _MOST:g} %"
     return ""
-
-
-def fit_lognormal(curve: Curve) -> Lognormal | None:
-    """The lognormal curve with the least integral of the squared difference over the logarithm of the level.
-
-    Returns:
-        None if `why_not_fitted` gives a reason.
-    """
-    if why_not_fitted(curve):
-        return None
-    logarithms, sign = np.log(curve.ladder.levels), 1.0 if curve.rises else -1.0
-    root_width = np.sqrt(np.gradient(logarithms))
-
-    def differences(numbers: Array) -> Array:
-        return np.asarray(ndtr(sign * (logarithms - numbers[0]) * math.exp(-numbers[1])) - curve.probability)
-
-    middle = curve.capacity(_MOST).level or float(curve.ladder.levels[np.argmax(curve.probability)])
-    fits = [
-        least_squares(lambda x: root_width * differences(x), [math.log(middle), math.log(start)]) for start in _STARTS
-    ]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    return beside(curve, math.exp(best.x[0]), math.exp(best.x[1]))
-
-
-def beside(curve: Curve, median: float, dispersion: float) -> Lognormal:
-    """A lognormal curve beside a curve."""
-    fit = Lognormal(median, dispersion, 0.0, 0.0, curve.rises)
-    missed = np.abs(fit.at(curve.ladder.levels) - curve.probability)
-    worst = int(np.argmax(missed))
-    at = float(curve.ladder.levels[worst])
-    return fit._replace(largest_misfit=float(missed[worst]), largest_misfit_at=at)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,22 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
-from activefail.analyses.fragility.capacities import CONFIDENCE, Fragility
+from activefail.analyses.fragility.capacities import CONFIDENCE, Fragility, Lognormal
 from activefail.analyses.fragility.curve import (
     Capacity,
     Curve,
     Ladder,
-    Lognormal,
     Risk,
-    beside,
-    fit_lognormal,
     why_not_fitted,
 )
 from activefail.analyses.stripes.findings import StripeFindings
@@ -36,8 +32,8 @@ CAPACITIES = (0.025, 0.10, 0.50)
 NO_RATES = "the hazard has no curve of annual rates"
 """Why there is no risk, which the hazard's assumptions say too."""
 
-_NEAR = 0.05
-"""Largest difference of a lognormal curve that is shown beside the curve."""
+_UNEQUAL, _NOT_FINITE = "the values are not alike in probability, or too few fail", "one is of the capacities of values"
+"""Why there is no lognormal curve."""
 
 _GIVES = "gives intervals from fresh simulations"
 
@@ -76,17 +72,12 @@ class BoundaryFragility:
         """The level at which the curve first exceeds a probability, with what was verified of it."""
         return self.curve.capacity(p), capacity_interval(self.curve, self.verified, p)
 
-    @cached_property
-    def lognormal(self) -> Lognormal | None:
-        """The lognormal curve beside the curve."""
-        if self.fit is not None:
-            return beside(self.curve, self.fit.fit.median, self.fit.fit.dispersion)
-        return fit_lognormal(self.curve)
-
-    @property
-    def is_lognormal(self) -> bool:
-        """Whether the lognormal curve is so near that it describes the curve."""
-        return self.lognormal is not None and (self.fit is not None or self.lognormal.largest_misfit <= _NEAR)
+    def misfit(self, fit: Lognormal) -> tuple[float, float]:
+        """Largest difference of a lognormal curve to the curve at a level of the ladder, and this level."""
+        levels = self.curve.ladder.levels
+        missed = np.abs(fit.at(levels) - self.curve.probability)
+        worst = int(np.argmax(missed))
+        return float(missed[worst]), float(levels[worst])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +141,7 @@ class FragilityFindings:
             estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)
             row[name] = float(one.curve.at(level))
             row[f"{name}_pulses_alone"] = "" if one.alone is None else float(one.alone.at(level))
-            row[f"{name}_lognormal"] = "" if one.lognormal is None else float(one.lognormal.at(level))
+            row[f"{name}_lognormal"] = "" if one.fit is None else float(one.fit.fit.at(level))
             row[f"{name}_verified"] = estimate.probability if estimate else ""
             row[f"{name}_low"] = estimate.low if estimate else ""
             row[f"{name}_high"] = estimate.high if estimate else ""
@@ -166,8 +157,6 @@ class FragilityFindings:
             text.append(f"{or_worse(one.outcome, self.outcomes)}:")
             for title, line in of_boundary(self, one):
                 text.append(f"  {title:>6}    {line}" if title.endswith("%") else f"  {title:<9} {line}")
-        if why := why_no_risk(self):
-            text.append(f"risk       none: {why}")
         text.append(
             f"intervals  shown where {'' if self.by_stripes else 'fresh '}simulations give one; every other number is "
             "the classifier's, without an interval"
@@ -234,9 +223,8 @@ class FragilityFindings:
         )
 
     def _numbers(self, one: BoundaryFragility) -> dict[str, Any]:
-        fall, fit, risk, alone, ratio = one.curve.fall, one.lognormal, one.risk, one.alone, self.margin_ratio(one)
+        fall, risk, alone, ratio = one.curve.fall, one.risk, one.alone, self.margin_ratio(one)
         of_curve = "only the verified levels have intervals" if one.verified else NOT_VERIFIED
-        of_fit = "it describes the curve, which is the result"
         capacities = ((p, *one.capacity(p)) for p in CAPACITIES)
         return {
             "curve": _without_interval(of_curve, probability=one.curve.probability),
@@ -245,10 +233,8 @@ class FragilityFindings:
             **named(one.curve, "resolution", "rises"),
             "falls": fall and {"by": fall.size, "from": fall.start, "to": fall.end},
             "capacities": [{"probability": p, **at._asdict(), **band._asdict()} for p, at, band in capacities],
-            "lognormal": fit
-            and _without_interval(of_fit, **named(fit, "median", "dispersion", "largest_misfit", "largest_misfit_at"))
-            | _of_capacities(one.fit),
-            "lognormal_reason": why_not_fitted(one.curve) or None,
+            "lognormal": one.fit and _of_capacities(one, one.fit),
+            "lognormal_reason": None if one.fit else self._why_not_fitted(one),
             "verified": [
                 {
                     "level": level,
@@ -265,6 +251,9 @@ class FragilityFindings:
             "deaggregation": one.deaggregation and one.deaggregation.numbers,
         }
 
+    def _why_not_fitted(self, one: BoundaryFragility) -> str:
+        return (why_not_fitted(one.curve) or _UNEQUAL) if self.by_stripes else _NOT_FINITE
+
     def _interval_of_ratio(self, one: BoundaryFragility) -> dict[str, Any]:
         _, interval = one.capacity(0.5)
         ends = {end: at and self.median and at / self.median for end, at in named(interval, "low", "high").items()}
@@ -276,12 +265,13 @@ class FragilityFindings:
         return None if level is None or self.median is None else level / self.median
 
 
-def _of_capacities(fit: Fragility | None) -> dict[str, Any]:
-    """The intervals of a lognormal curve of capacities."""
-    if fit is None:
-        return {}
+def _of_capacities(one: BoundaryFragility, fit: Fragility) -> dict[str, Any]:
+    """The lognormal curve of capacities, with its intervals."""
+    misfit, at = one.misfit(fit.fit)
     ends = {"median_interval": list(fit.median) or None, "dispersion_interval": list(fit.dispersion) or None}
-    return {**ends, "confidence": CONFIDENCE, "interval_reason": "those of median and dispersion are over groups"}
+    of_fit = {**named(fit.fit, "median", "dispersion"), "largest_misfit": misfit, "largest_misfit_at": at, **ends}
+    reason = "those of median and dispersion are over groups"
+    return _without_interval(reason, **of_fit) | {"confidence": CONFIDENCE}
 
 
 def _without_interval(reason: str = WITHOUT_INTERVAL, **numbers: Any) -> dict[str, Any]:
@@ -292,11 +282,6 @@ def heading(findings: FragilityFindings) -> str:
     """What the curves are of."""
     variable = f"{findings.ladder.name} [{findings.ladder.unit}]" if findings.ladder.unit else findings.ladder.name
     return f"fragility against {variable}, under {findings.title}"
-
-
-def why_no_risk(findings: FragilityFindings) -> str:
-    """Why there is no risk; empty if there is one, or if an assumption of the hazard says it."""
-    return "" if findings.median is None or findings.why_no_risk == NO_RATES else findings.why_no_risk
 
 
 def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
@@ -320,17 +305,17 @@ def unit_of(findings: FragilityFindings) -> str:
 
 def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
     """Those of `of_boundary` after the capacities and the verified levels."""
-    unit, fit, rows = unit_of(findings), one.lognormal, list[tuple[str, str]]()
-    if fit is None:
-        rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
-    else:
-        median, dispersion = ("", "") if one.fit is None else map(_over_groups, (one.fit.median, one.fit.dispersion))
+    unit, rows = unit_of(findings), list[tuple[str, str]]()
+    if one.fit is not None:
+        fit, (misfit, at) = one.fit.fit, one.misfit(one.fit.fit)
         text = (
-            f"median {fit.median:.3g}{unit}{median}, dispersion {fit.dispersion:.3g}{dispersion}; it differs from the "
-            f"curve by up to {100.0 * fit.largest_misfit:.2g} points, at {fit.largest_misfit_at:.3g}{unit}"
-            f"{'' if one.fit is None else '; its intervals leave out wrong predictions'}"
+            f"median {fit.median:.3g}{unit}{_over_groups(one.fit.median)}, dispersion {fit.dispersion:.3g}"
+            f"{_over_groups(one.fit.dispersion)}; it differs from the curve by up to {100.0 * misfit:.2g} points, at "
+            f"{at:.3g}{unit}; its intervals leave out wrong predictions"
         )
         rows.append(("lognormal", text))
+    elif findings.by_stripes:
+        rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve) or _UNEQUAL}"))
     if one.alone is not None:
         levels = [one.alone.capacity(p).level for p in CAPACITIES]
         shown = ", ".join("none" if level is None else f"{level:.3g}" for level in levels)

@@ -148,11 +148,7 @@ class OneDesign:
         return "a design at the boundary" if least <= _OPEN else "the least certain design", start.tolist()
 
     def point(self, values: Values) -> Array:
-        """The design in a form, (d,).
-
-        Raises:
-            InputError: naming the variable, the rule and the value.
-        """
+        """The design in a form, (d,)."""
         read = zip(self.space.parameters, self.fields, strict=True)
         return np.array([float(one.rounded(field.read(values))) for one, field in read])
 

@@ -34,7 +34,7 @@ SIZE = 4.8, 4.4
 def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Quantity]) -> dict[str, Figure]:
     """The curves of all boundaries and, under a hazard, the pulses that cause the most severe outcome, by file name.
 
-    The curve is the result. A lognormal curve that describes it is dotted.
+    The curve is the result. The lognormal curve of the capacities of finitely many values is dotted.
 
     Args:
         findings: the curves.
@@ -71,8 +71,10 @@ def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str)
     if one.alone is not None:
         alone = one.alone.ladder.levels, one.alone.probability
         axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone")
-    if (fit := one.lognormal) is not None and one.is_lognormal:
-        axes.plot(levels, fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal")
+    if one.fit is not None:
+        axes.plot(
+            levels, one.fit.fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal"
+        )
     if one.verified:
         estimates = [level.estimate for level in one.verified]
         middle, low, high = np.array([(it.probability, it.low, it.high) for it in estimates]).T

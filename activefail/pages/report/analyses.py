@@ -17,7 +17,6 @@ from activefail.analyses.fragility.findings import (
     ends_in_words,
     heading,
     unit_of,
-    why_no_risk,
 )
 from activefail.analyses.sensitivity.findings import SensitivityFindings
 from activefail.campaign.assembly import Campaign
@@ -139,11 +138,10 @@ def curves_shown(
         "beside": [(name, beside_capacities(findings, one)) for name, one in zip(names, boundaries, strict=True)],
         "in_unit": f" [{findings.ladder.unit}]" if findings.ladder.unit else "",
         "has_alone": any(one.alone is not None for one in findings.boundaries),
-        "has_lognormal": any(one.is_lognormal for one in findings.boundaries),
+        "has_lognormal": any(one.fit is not None for one in findings.boundaries),
         "has_pulses": len(figures) > 1,
         "has_verification": findings.has_verification,
         "fresh": "" if findings.by_stripes else "fresh ",
-        "no_risk": why_no_risk(findings),
         "notes": findings.assumptions,
     }
 

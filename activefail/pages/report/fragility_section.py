@@ -75,9 +75,6 @@ def risk_options(
         target: a probability or a risk category; None for all risk categories.
         outcomes: of the campaign.
         boundary: outcome of a target without a name.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
     """
     text = next(iter(RISK_CATEGORIES)) if target is None else str(target)
     requirements = read_targets(text, outcomes, boundary)
