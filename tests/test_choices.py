@@ -202,9 +202,9 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
         findings, design = run.findings, np.array([5.0, 3.0, 1.0, 0.0])
         pale, full = marks_in(findings, design, [0, 1])
-        same = np.all(findings.X[:, 2:] == design[2:], axis=1)
-        assert sorted(full.places.tolist()) == sorted(findings.X[same][:, :2].tolist())
-        assert len(pale.places) + len(full.places) == len(findings.X) > same.sum() > 0
+        same = np.all(findings.history.designs[:, 2:] == design[2:], axis=1)
+        assert sorted(full.places.tolist()) == sorted(findings.history.designs[same][:, :2].tolist())
+        assert len(pale.places) + len(full.places) == len(findings.history.designs) > same.sum() > 0
         axes = run.plot_boundary("load", "storeys", {"soil": "B", "system": "frame"}, Figure().subplots())
         drawn = [marks for marks in axes.collections if isinstance(marks, PathCollection)]
         assert sum(len(marks.get_offsets()) for marks in drawn if marks.get_alpha() == 1.0) == same.sum()
@@ -212,7 +212,7 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
             plane for plane in coordinates(findings).planes if findings.campaign.space.names[plane.third] == "soil"
         ]
         figures = plot_outcome_planes(plane, coordinates(findings), findings)
-        of_soil = [findings.X[:, 2] == value for value in plane.values]
+        of_soil = [findings.history.designs[:, 2] == value for value in plane.values]
         drawn = [
             sum(
                 len(marks.get_offsets())
@@ -221,7 +221,7 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
             )
             for axes in (figure.axes[0] for figure in figures)
         ]
-        assert drawn == [int((rows & (findings.X[:, 3] == 0.0)).sum()) for rows in of_soil]
+        assert drawn == [int((rows & (findings.history.designs[:, 3] == 0.0)).sum()) for rows in of_soil]
 
 
 def test_an_array_of_numbers_and_wrong_shapes_are_no_designs_where_variables_have_choices(folder: Path) -> None:

@@ -50,6 +50,15 @@ class Hazard(Protocol):
     variables: ClassVar[tuple[str, ...]]
     """The variables of a campaign that belong to the loads."""
 
+    loads: ClassVar[str]
+    """What they are, such as "pulses"."""
+
+    intensity: ClassVar[str]
+    """Name of their intensity."""
+
+    unit: ClassVar[str]
+    """Its unit."""
+
     @classmethod
     def is_of(cls, values: Mapping[str, Any]) -> bool:
         """Whether the values of a file are those of such a hazard, by their keys."""
@@ -105,8 +114,8 @@ class Hazard(Protocol):
             InputError: if the hazard says nothing about these variables, or one of them needs a value.
         """
 
-    def levels(self) -> tuple[str, str, Array]:
-        """Name, unit and levels, (n,), of the intensity of its loads, in equal steps of the logarithm."""
+    def levels(self) -> Array:
+        """Levels of the intensity, (n,), in equal steps of the logarithm."""
 
     @property
     def median(self) -> float:
@@ -143,6 +152,7 @@ class SimpleHazard:
     """What a hazard has that knows neither property bounds, nor rates, nor added uncertainty, nor its contributions."""
 
     variables: ClassVar[tuple[str, ...]]
+    loads: ClassVar[str] = "loads"
     is_table, bounds, alone, rates = False, ("nominal",), None, None
     factors: ClassVar[Mapping[str, float]] = {}
     assumptions: ClassVar[Sequence[str]] = ()

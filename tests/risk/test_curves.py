@@ -19,10 +19,10 @@ from activefail.analyses.fragility.band import (
     verify,
 )
 from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of, why_not_fitted
-from activefail.analyses.fragility.exports import multilinear, openquake_model, pelicun_table
 from activefail.campaign.question import Question
 from activefail.estimates.estimate import ProbabilityEstimate, plan_estimate
 from activefail.estimates.probability_estimator import Sampled, error_of_rows
+from activefail.seismic.exports import multilinear, openquake_model, pelicun_table
 from activefail.space.parameter import Parameter
 from activefail.space.space import Array, DesignSpace
 from activefail.space.weighted import WeightedRows
@@ -91,7 +91,7 @@ def test_the_risk_under_a_power_law_is_its_closed_form() -> None:
     expected = 4e-4 * MEDIAN**-slope * math.exp(0.5 * (slope * BETA) ** 2) - below
     assert risk.annual_rate == pytest.approx(expected, rel=0.005)
     assert risk.probability == pytest.approx(1.0 - math.exp(-50.0 * expected), rel=0.005)
-    assert (risk.least_pgv_m_s, risk.at_least_pgv) == (0.3, pytest.approx(float(CURVE.at(0.3))))
+    assert (risk.least, risk.at_least) == (0.3, pytest.approx(float(CURVE.at(0.3))))
     assert risk.share_outside_hazard_curve == pytest.approx(1.0 - inside / expected, abs=0.005)
     assert risk.share_above_fragility_curve == pytest.approx(4e-4 * LADDER.levels[-1] ** -slope / expected, rel=0.02)
 

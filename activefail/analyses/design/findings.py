@@ -39,7 +39,7 @@ class DesignFindings:
         outside: what of the question lies outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
-        at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
+        at_least: classifier's probability of each target's outcome at the least level of the hazard's curve,
             without interval; empty unless the targets are risks in a number of years.
         chart: values that targets require; None if it was not asked for.
         noise: sentences on a margin whose noise is not normal.
@@ -80,7 +80,7 @@ class DesignFindings:
             if (upper := hazard.at_bound("upper")).factors:
                 at_upper = probabilities(at_design.under(upper))
             if task.rate is not None:
-                at_least = probabilities(at_design.under(hazard, task.rate.velocity))
+                at_least = probabilities(at_design.under(hazard, task.rate.least))
         outside = designed.question.outside(task.asked.campaign.space)
         noise = tuple(noise_notes(estimator.classifier))
         return cls(designed, outside, at_upper, at_least, chart, noise)
@@ -154,7 +154,7 @@ class DesignFindings:
         sentences = [*self.designed.question.assumptions, *self.noise, *self._of_rate, *sentences, *self._of_looks]
         if self.hazard is None and self.designed.question.is_of_campaign:
             sentences.append(
-                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
+                "The loads have the distribution of the campaign. This is usually not the hazard of a site; "
                 "use --hazard or --question."
             )
         if missable := self.designed.missable:
@@ -168,12 +168,13 @@ class DesignFindings:
     @property
     def _of_rate(self) -> list[str]:
         """What a target in years leaves out."""
-        if (rate := self.designed.task.rate) is None:
+        if (rate := self.designed.task.rate) is None or self.hazard is None:
             return []
         at_least = ", ".join(percent(share) for share in self.at_least)
         return [
-            f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity the "
-            f"classifier's probability is {at_least} (no interval). Above its last point the curve is extrapolated."
+            f"{self.hazard.loads.capitalize()} below {rate.least:g} {self.hazard.unit}, where the hazard's curve "
+            f"begins, are left out. There the classifier's probability is {at_least} (no interval). Above its last "
+            "point the curve is extrapolated."
         ]
 
     @property
@@ -332,7 +333,7 @@ class DesignFindings:
                     "low": rate.risk(estimate.low),
                     "high": rate.risk(estimate.high),
                     "annual_rate_of_pulses": rate.annual,
-                    "least_pgv_m_s": rate.velocity,
+                    "least_pgv_m_s": rate.least,
                 },
             }
             for one, estimate, model in parts
@@ -405,12 +406,12 @@ class DesignFindings:
             )
             rows.append((title, text))
             rows += estimate.rows if isinstance(estimate, StripeFindings) else []
-            if (rate := task.rate) is not None:
+            if (rate := task.rate) is not None and self.hazard is not None:
                 low, middle, high = (rate.risk(P) for P in (estimate.low, estimate.probability, estimate.high))
                 text = (
                     f"{percent(middle, 2)} in {rate.years:g} years, {bounds_percent(low, high)}; target "
-                    f"{percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least {rate.velocity:g} m/s a "
-                    "year"
+                    f"{percent(rate.risk(one.target), 2)}; {rate.annual:g} {self.hazard.loads} of at least "
+                    f"{rate.least:g} {self.hazard.unit} a year"
                 )
                 rows.append(("risk", text))
         rows.append(("from", self._from))

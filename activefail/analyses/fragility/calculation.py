@@ -91,7 +91,7 @@ def _under_hazard(
     space, boundaries, median = asked.campaign.space, estimator.boundaries, hazard.median
     without, alone = hazard.alone, None
     if without is not None:
-        stage("evaluating the curves of the pulses alone")
+        stage(f"evaluating the curves of the {hazard.loads} alone")
         alone, _, _ = curves_on(boundaries, lambda level: asked.under(without, level), ladder, space)
     at_bounds = {
         bound: integral_of(
@@ -99,12 +99,12 @@ def _under_hazard(
         ).probability.tolist()
         for bound in hazard.bounds
     }
-    stage("finding the pulses that contribute")
+    stage(f"finding the {hazard.loads} that contribute")
     whole = integral_of(asked.question, boundaries, space).probability
     parts = hazard.deaggregated(boundaries, space, asked.fixed, whole)
     rate = None if hazard.rates is None else Rate(*hazard.rates)
     outside = asked.question.outside(space)
-    few = f"{percent(outside.share)} of the hazard's pulses lie outside the campaign's design space."
+    few = f"{percent(outside.share)} of the hazard's {hazard.loads} lie outside the campaign's design space."
     return replace(
         findings,
         boundaries=tuple(
@@ -118,6 +118,7 @@ def _under_hazard(
             for column, one in enumerate(findings.boundaries)
         ),
         median=median,
+        loads=hazard.loads,
         outside_hazard=outside.share,
         why_no_risk="" if rate else NO_RATES,
         notes=(*filter(None, [outside.advice or (few if outside.share else "")]), *findings.notes),

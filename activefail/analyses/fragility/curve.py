@@ -129,35 +129,35 @@ def why_not_fitted(curve: Curve) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Rate:
-    """How often pulses occur: those of at least the first velocity of a hazard's curve. Weaker ones are left out."""
+    """How often loads occur: those of at least the first level of a hazard's curve. Weaker ones are left out."""
 
-    velocities: Array  # (m,) of the curve, increasing [m/s]
+    levels: Array  # (m,) of the curve, increasing
     rates: Array  # (m,) at which they are exceeded, decreasing [1/year]
     years: float = YEARS  # of a risk
 
     @property
     def annual(self) -> float:
-        """Rate of pulses of at least `velocity` [1/year]."""
+        """Rate of loads of at least the level `least` [1/year]."""
         return float(self.rates[0])
 
     @property
-    def velocity(self) -> float:
-        """The least velocity of the curve [m/s]."""
-        return float(self.velocities[0])
+    def least(self) -> float:
+        """The least level of the curve."""
+        return float(self.levels[0])
 
     def exceeding(self, levels: Array) -> Array:
         """Annual rates at which levels, (n,), are exceeded: linear in logarithms, extrapolated by the end's slope."""
-        x, y, at = np.log(self.velocities), np.log(self.rates), np.log(levels)
+        x, y, at = np.log(self.levels), np.log(self.rates), np.log(levels)
         segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
         slope = np.diff(y) / np.diff(x)
         return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
 
     def risk(self, probability: float) -> float:
-        """The probability of at least one occurrence in these years, given its probability in one pulse."""
+        """The probability of at least one occurrence in these years, given its probability under one load."""
         return -math.expm1(-self.years * self.annual * probability)
 
     def given_pulse(self, risk: float) -> float:
-        """The probability in one pulse that gives this risk."""
+        """The probability under one load that gives this risk."""
         return -math.log1p(-risk) / (self.years * self.annual)
 
 
@@ -167,21 +167,21 @@ class Risk(NamedTuple):
     annual_rate: float  # λ [1/year]
     years: float  # t
     probability: float  # of at least one failure in these years, 1 − exp(−t λ)
-    least_pgv_m_s: float  # where the hazard's curve begins; weaker pulses are left out
-    at_least_pgv: float  # of the fragility curve at this velocity
+    least: float  # level where the hazard's curve begins; weaker loads are left out
+    at_least: float  # of the fragility curve at this level
     share_outside_hazard_curve: float  # of λ: from intensities where the end of the hazard's curve is extrapolated
     share_above_fragility_curve: float  # of λ: from intensities where the last value of the fragility curve holds
 
 
 def risk_of(curve: Curve, rate: Rate) -> Risk:
-    """The risk: λ = ∫ P(v) |dν(v)| over pulses of at least the first velocity, with the rate ν(v) of exceedance.
+    """The risk: λ = ∫ P(v) |dν(v)| over loads of at least the first level, with the rate ν(v) of exceedance.
 
     Args:
         curve: P(v), against the intensity of the hazard's curve.
-        rate: of the pulses.
+        rate: of the loads.
     """
-    low, high = math.log(rate.velocity), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.velocities[-1]))
-    corners = np.log(np.concatenate([rate.velocities, curve.ladder.levels]))
+    low, high = math.log(rate.least), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.levels[-1]))
+    corners = np.log(np.concatenate([rate.levels, curve.ladder.levels]))
     corners = corners[(corners > low) & (corners < high)]
     logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
     levels = np.exp(logarithms)
@@ -191,9 +191,9 @@ def risk_of(curve: Curve, rate: Rate) -> Risk:
     average = (curve.at(levels[:-1]) + 4.0 * curve.at(middle) + curve.at(levels[1:])) / 6.0
     parts = average * (nu[:-1] - nu[1:])
     beyond = float(curve.probability[-1] * nu[-1])
-    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.velocity))
+    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.least))
     if total <= 0.0:
-        return Risk(0.0, rate.years, 0.0, rate.velocity, at_least, 0.0, 0.0)
-    inside = float(parts[middle <= rate.velocities[-1]].sum())
+        return Risk(0.0, rate.years, 0.0, rate.least, at_least, 0.0, 0.0)
+    inside = float(parts[middle <= rate.levels[-1]].sum())
     risk = rate.risk(total / rate.annual)
-    return Risk(total, rate.years, risk, rate.velocity, at_least, 1.0 - inside / total, beyond / total)
+    return Risk(total, rate.years, risk, rate.least, at_least, 1.0 - inside / total, beyond / total)

@@ -35,6 +35,9 @@ NO_RATES = "the hazard has no curve of annual rates"
 _UNEQUAL, _NOT_FINITE = "the values are not alike in probability, or too few fail", "one is of the capacities of values"
 """Why there is no lognormal curve."""
 
+_OF_RISK = {"least": "least_pgv_m_s", "at_least": "at_least_pgv"}
+"""Keys of a risk in JSON that are not the attributes."""
+
 _GIVES = "gives intervals from fresh simulations"
 
 WITHOUT_INTERVAL = "the classifier's number, without an interval"
@@ -50,7 +53,7 @@ class BoundaryFragility:
     Attributes:
         outcome: its name; the probability is of it or a more severe one.
         curve: with the added uncertainties, if there are any.
-        alone: the curve of the pulses alone; None without added uncertainty.
+        alone: the curve of the loads alone; None without added uncertainty.
         verified: levels with intervals.
         fit: the lognormal curve of the capacities of finitely many values, with intervals over their groups; None if
             the curve is of a distribution.
@@ -97,6 +100,7 @@ class FragilityFindings:
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
         terms: the design in the designer's terms; None if the simulator has none, or a value is uncertain.
+        loads: what the hazard's loads are, such as "pulses".
         median: the hazard's median of the intensity; None without a hazard.
         outside_hazard: share of the whole hazard outside the design space; None without a hazard.
         why_no_risk: empty if there is a risk.
@@ -115,6 +119,7 @@ class FragilityFindings:
     outcomes: tuple[str, ...]
     terms: Terms | None = None
     median: float | None = None
+    loads: str = "loads"
     outside_hazard: float | None = None
     why_no_risk: str = "a risk requires a hazard with annual rates"
 
@@ -124,7 +129,7 @@ class FragilityFindings:
         """Write the curves: a row for each level of the ladder and for each verified level.
 
         Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
-        curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its
+        curve `p_<outcome>`, that without added uncertainty, the lognormal one, and the verified probability with its
         interval. Cells are empty where there is no number.
         """
         levels = [(level, "ladder", outside) for level, outside in zip(self.ladder.levels, self.outside, strict=True)]
@@ -246,7 +251,8 @@ class FragilityFindings:
             ],
             "at_hazard_median": one.at_median and _without_interval(probability=one.at_median),
             "margin_ratio": ratio and {"value": ratio, **self._interval_of_ratio(one)},
-            "risk": risk and _without_interval(**risk._asdict()),
+            "risk": risk
+            and _without_interval(**{_OF_RISK.get(key, key): value for key, value in risk._asdict().items()}),
             "risk_reason": self.why_no_risk or None,
             "deaggregation": one.deaggregation and one.deaggregation.numbers,
         }
@@ -337,9 +343,9 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
     if one.risk is not None:
         text = (
             f"{percent(one.risk.probability, 2)} in {one.risk.years:g} years ({one.risk.annual_rate:.2g} a year); "
-            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from velocities above the hazard curve, "
-            f"where it is extrapolated. Pulses below {one.risk.least_pgv_m_s:g} m/s, where it begins, are left out; "
-            f"the probability at this velocity is {percent(one.risk.at_least_pgv)}"
+            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from above the hazard curve, where "
+            f"it is extrapolated. {findings.loads.capitalize()} below {one.risk.least:g}{unit}, where it begins, are "
+            f"left out; the probability there is {percent(one.risk.at_least)}"
         )
         rows.append(("risk", text))
     if one.deaggregation is not None:

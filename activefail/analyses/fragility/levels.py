@@ -44,7 +44,8 @@ def ladder_of(
     if asked.hazard is not None:
         if against is not None:
             raise InputError("against: cannot be combined with hazard.")
-        return Ladder(*asked.hazard.levels(), is_log=True)
+        hazard = asked.hazard
+        return Ladder(hazard.intensity, hazard.unit, hazard.levels(), is_log=True)
     if against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
     question, space = asked.question, asked.campaign.space

@@ -53,7 +53,7 @@ def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Qua
 def _draw_curves(axes: Axes, findings: FragilityFindings, shown: Mapping[str, Quantity]) -> None:
     outcomes = ("", *(one.outcome for one in findings.boundaries))
     for index, one in enumerate(findings.boundaries, start=1):
-        _draw_boundary(axes, one, outcome_colour(outcomes, index), outcome_marker(outcomes, index))
+        _draw_boundary(axes, one, findings.loads, outcome_colour(outcomes, index), outcome_marker(outcomes, index))
     if findings.median is not None:
         axes.axvline(findings.median, color=BLACK, linewidth=0.9, linestyle="-.", label="median of the hazard")
     if findings.ladder.is_log:
@@ -65,12 +65,12 @@ def _draw_curves(axes: Axes, findings: FragilityFindings, shown: Mapping[str, Qu
     axes.set_title(plain(findings.title))
 
 
-def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str) -> None:
+def _draw_boundary(axes: Axes, one: BoundaryFragility, loads: str, colour: str, marker: str) -> None:
     levels, name = one.curve.ladder.levels, plain(words(one.outcome))
     axes.plot(levels, one.curve.probability, color=colour, linewidth=1.8, label=name)
     if one.alone is not None:
         alone = one.alone.ladder.levels, one.alone.probability
-        axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone")
+        axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, {loads} alone")
     if one.fit is not None:
         axes.plot(
             levels, one.fit.fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal"

@@ -70,6 +70,9 @@ class Hazard:
     bound: Bound = "lower"
 
     variables: ClassVar[tuple[str, ...]] = (PERIOD, AMPLITUDE)
+    loads: ClassVar[str] = "pulses"
+    intensity: ClassVar[str] = PGV
+    unit: ClassVar[str] = "m/s"
 
     @classmethod
     def is_of(cls, values: Mapping[str, Any]) -> bool:
@@ -263,13 +266,13 @@ class Hazard:
             return ()
         return ("At each PGV the periods have the distribution of all the hazard's pulses.",)
 
-    def levels(self) -> tuple[str, str, Array]:
-        """PGV with its unit and its levels, (n,): 24 in a factor of ten, which include the hazard's curve."""
+    def levels(self) -> Array:
+        """Levels of the PGV, (n,): 24 in a factor of ten, which include the hazard's curve."""
         curve = self.settings.curve
         velocities = [*_RANGE, self.median, *(curve.pgv_m_s if curve else ())]
         first, last = (_PER_DECADE * np.log10(end) for end in (min(velocities), max(velocities)))
         steps = np.arange(int(np.floor(first + 1e-9)), int(np.ceil(last - 1e-9)) + 1)
-        return PGV, "m/s", np.asarray(10.0 ** (steps / _PER_DECADE))
+        return np.asarray(10.0 ** (steps / _PER_DECADE))
 
     @property
     def median(self) -> float:
@@ -307,7 +310,7 @@ class Hazard:
 
         assert self.rates is not None
         rate = Rate(*self.rates)
-        title = f"pulses of at least {rate.velocity:g} m/s by the curve of {self.title}"
+        title = f"pulses of at least {rate.least:g} m/s by the curve of {self.title}"
         return replace(self, title=title, rows=pulses_of_curve(rate, self.rows, self.period_given))
 
     def deaggregated(
