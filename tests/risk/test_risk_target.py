@@ -155,7 +155,7 @@ def test_what_a_risk_needs_is_told() -> None:
             at_risk(hazard(), [one, other])
     with pytest.raises(InputError, match="Begin the curve at a larger level"):
         at_risk(hazard(), [Requirement("failure", 1e-4, 50.0)])
-    with pytest.raises(InputError, match="Begin the curve at a smaller velocity"):
+    with pytest.raises(InputError, match="Begin the curve at a smaller level"):
         at_risk(hazard(), [Requirement("failure", 0.9, 50.0)])
 
 
