@@ -74,10 +74,11 @@ def fragility(folder, number):
             hazard = Hazard.of({"magnitude": {"M": M}, "pgv": pgv, "curve": RATES}, Path("hazard.toml"))
 
             def at(level, hazard=hazard):
-                return hazard.question(space, bearing, ("PGV", level))
+                return hazard.question(space, bearing, level)
 
             with one_thread():
-                curves = curves_on(boundaries, at, Ladder(*hazard.levels("pgv"), is_log=True), space)[0]
+                levels = Ladder(hazard.intensity, hazard.unit, hazard.levels(), is_log=True)
+                curves = curves_on(boundaries, at, levels, space)[0]
             ladder = curves[0].ladder
             designs = [at(v).designs(at(v).space.sobol(PULSES, np.random.default_rng(1))) for v in ladder.levels]
             outcome = simulate(np.concatenate(designs)).outcome.reshape(len(designs), PULSES)

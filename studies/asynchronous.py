@@ -18,9 +18,9 @@ import math
 import time
 
 import numpy as np
+from comparison import FreshSet, measures
 from study import VirtualTime, asked, campaign_of, head, in_memory, line, uniform
 
-from activefail.analyses.comparison.measures import FreshSet, measures
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model.threads import one_thread
 from activefail.seismic.ida.sample_mean import Estimate
@@ -28,7 +28,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 
 FIRST_SEED = 5000
 
-MEASURES = {"accuracy": "failure accuracy", "log_score": "log score", "outcome_accuracy": "accuracy of outcomes"}
+MEASURES = {"accuracy": "failure accuracy", "log score": "log score", "accuracy of outcomes": "accuracy of outcomes"}
 
 
 def share_of(design):

@@ -34,10 +34,10 @@ from problems import Problem, standard, variables
 from scipy.spatial.distance import cdist
 from study import Rows, asked, campaign_of, in_memory, markdown, timed, write_between
 
-from activefail.analyses.comparison.measures import log_score, probability_of_truth
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import read_settings
+from activefail.estimates.scores import log_score, probability_of_truth
 from activefail.learning.model.threads import one_thread
 from activefail.loop import learning
 from activefail.loop.history import History

@@ -16,8 +16,8 @@ import numpy as np
 from criteria import fresh
 from study import Rows, asked, campaign_of, head, in_memory, line, timed
 
-from activefail.analyses.comparison.measures import log_score, probability_of_truth
 from activefail.campaign.assembly import Campaign
+from activefail.estimates.scores import log_score, probability_of_truth
 from activefail.learning.model.threads import one_thread
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "classifier.md"

@@ -67,7 +67,6 @@ _BY_NAME = {
     "initial",
     "estimates",
     "fixed",
-    "first_free_variable_by_confidence",
     "free",
     "length_scales",
 }

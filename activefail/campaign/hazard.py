@@ -13,9 +13,6 @@ from activefail.text.toml import read_toml
 Bound = Literal["lower", "upper", "nominal"]
 """A bound of the properties of a design."""
 
-At = tuple[str, float]
-"""The name of an intensity and a level of it."""
-
 
 class Deaggregation(Protocol):
     """Which loads of a hazard contribute the failures beyond a boundary."""
@@ -53,8 +50,14 @@ class Hazard(Protocol):
     variables: ClassVar[tuple[str, ...]]
     """The variables of a campaign that belong to the loads."""
 
+    loads: ClassVar[str]
+    """What they are, such as "pulses"."""
+
     intensity: ClassVar[str]
-    """Name of the intensity that the rates are of."""
+    """Name of their intensity."""
+
+    unit: ClassVar[str]
+    """Its unit."""
 
     @classmethod
     def is_of(cls, values: Mapping[str, Any]) -> bool:
@@ -99,26 +102,28 @@ class Hazard(Protocol):
     def at_bound(self, bound: Bound) -> Self:
         """The hazard at another property bound."""
 
-    def question(self, space: DesignSpace, fixed: Mapping[str, float], at: At | None = None) -> Question:
+    def question(self, space: DesignSpace, fixed: Mapping[str, float], at: float | None = None) -> Question:
         """The question that it asks of a campaign.
 
         Args:
             space: of the campaign.
             fixed: values of variables that are certain; others keep the campaign's distributions.
-            at: the level of an intensity, if it is given.
+            at: the level of the intensity, if it is given.
 
         Raises:
             InputError: if the hazard says nothing about these variables, or one of them needs a value.
         """
 
-    def levels(self, intensity: str) -> tuple[str, str, Array]:
-        """Name, unit and levels, (n,), of an intensity, by its name in options; in equal steps of the logarithm."""
+    def levels(self) -> Array:
+        """Levels of the intensity, (n,), in equal steps of the logarithm."""
 
-    def median(self, name: str) -> float:
-        """The median of an intensity."""
+    @property
+    def median(self) -> float:
+        """The median of the intensity."""
 
-    def assumptions_at(self, name: str) -> list[str]:
-        """What the question at each level of an intensity assumes, as sentences."""
+    @property
+    def assumptions_at_levels(self) -> Sequence[str]:
+        """What the question at each level assumes, as sentences."""
 
     @property
     def rates(self) -> tuple[Array, Array] | None:
@@ -147,9 +152,11 @@ class SimpleHazard:
     """What a hazard has that knows neither property bounds, nor rates, nor added uncertainty, nor its contributions."""
 
     variables: ClassVar[tuple[str, ...]]
+    loads: ClassVar[str] = "loads"
     is_table, bounds, alone, rates = False, ("nominal",), None, None
     factors: ClassVar[Mapping[str, float]] = {}
     assumptions: ClassVar[Sequence[str]] = ()
+    assumptions_at_levels: ClassVar[Sequence[str]] = ()
 
     @classmethod
     def applies_to(cls, space: DesignSpace) -> bool:
@@ -159,10 +166,6 @@ class SimpleHazard:
     def at_bound(self, bound: Bound) -> Self:
         """The same."""
         return self
-
-    def assumptions_at(self, name: str) -> list[str]:
-        """None but those of the hazard."""
-        return []
 
     def deaggregated(
         self, boundaries: Callable[[Array], Array], space: DesignSpace, fixed: Mapping[str, float], probability: Array

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import At, Hazard, hazard_in, is_hazard, read_hazard
+from activefail.campaign.hazard import Hazard, hazard_in, is_hazard, read_hazard
 from activefail.campaign.question import Question, check_constraints, question_in, question_of, values_of
 from activefail.campaign.sections import QuestionSettings
 from activefail.campaign.settings import checked
@@ -97,9 +97,6 @@ class Inquiry:
             hazard: the hazard.
             fixed: values of variables.
             free: variables that get their values later. Under a table of loads they have none in the question.
-
-        Raises:
-            InputError: as `Hazard.question` does.
         """
         # The loads of a table have no distribution of other variables beside them.
         waiting = [name for name in free if name not in {*fixed, *hazard.variables}] if hazard.is_table else []
@@ -118,7 +115,7 @@ class Inquiry:
         """The inquiry with these values of variables."""
         return replace(self, question=self.question.at(values))
 
-    def under(self, hazard: Hazard, at: At | None = None) -> Question:
+    def under(self, hazard: Hazard, at: float | None = None) -> Question:
         """The question of a variant of the hazard, with the same values (see `Hazard.question`)."""
         return hazard.question(self.campaign.space, self.fixed, at)
 

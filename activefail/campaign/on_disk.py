@@ -32,9 +32,6 @@ def read_campaign(
         seed, budget: replace those of the file.
         code, run, features: see `Campaign.of`.
         frozen: whether the file is that of a run folder whose features were checked when it was created.
-
-    Raises:
-        InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
     settings = read_settings(path, seed, budget)
     with naming(f"{path}: "):

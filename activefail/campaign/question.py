@@ -256,7 +256,7 @@ def question_of(
 
 
 def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[str, float]:
-    """Values of variables: by name, as text such as "T_b=4.0,mu=0.05", in a TOML file with such lines, or None.
+    """Values of variables: by name, as text such as "load=4,depth=0.3", in a TOML file with such lines, or None.
 
     Raises:
         InputError: naming the file; if a name is not a variable of the campaign, or a value is not a number.
@@ -276,12 +276,9 @@ def values_of(given: Any, space: DesignSpace, argument: str = "fixed") -> dict[s
 
 
 def _written(text: str, space: DesignSpace) -> dict[str, Any]:
-    """Values by name in a text such as "T_b=4.0,soil=A"; those of variables without choices are numbers.
+    """Values by name in a text such as "load=4.0,soil=A"; those of variables without choices are numbers.
 
     What follows a choice and is no value belongs to it: "soil=dense, dry".
-
-    Raises:
-        InputError: quoting the part that is no value.
     """
     values: dict[str, Any] = {}
     with_choices, name = {one.name for one in space.parameters if one.choices}, ""
@@ -295,7 +292,7 @@ def _written(text: str, space: DesignSpace) -> dict[str, Any]:
         try:
             values[name] = word if name in with_choices else number_in(word)
         except ValueError:
-            raise InputError(f"fixed: must be a file, or values such as T_b=4.0,mu=0.05, got {shown(part)}.") from None
+            raise InputError(f"fixed: must be a file, or values such as load=4,depth=0.3, got {shown(part)}.") from None
     return values
 
 
@@ -369,7 +366,7 @@ def check_constraints(
             follows = f"{derived.replaces} follows from {derived.quantity.name}"
             raise InputError(f"constraints: {constraint.text!r} cannot hold where {follows}.")
         if is_table and not constraint.names.isdisjoint(uncertain):
-            raise InputError(f"constraints: {constraint.text!r} cannot hold for the pulses of a table.")
+            raise InputError(f"constraints: {constraint.text!r} cannot hold for rows of a table.")
         if constraint.names <= values.keys() and not constraint.holds(values):
             of = ", ".join(f"{name} = {written[name]}" for name in sorted(constraint.names & {*fixed}))
             raise InputError(f"constraints: {constraint.text!r} must hold, got {of}.")

@@ -235,9 +235,6 @@ class ResultTable:
             campaign, ids, designs: as for `changed`.
             reading: how the table is read.
             changed: whether designs may differ from those that were handed out.
-
-        Raises:
-            InputError: naming row, column and both values of designs that differ, or that lie outside the space.
         """
         if not changed:
             faults = self.changed(campaign, ids, designs)
@@ -402,11 +399,7 @@ def _design(campaign: Campaign, table: Table, row: int) -> Array:
 
 
 def _check_inside(space: DesignSpace, table: Table, row: int, design: Array) -> None:
-    """Check that the design of a row, (d,), lies in the design space.
-
-    Raises:
-        InputError: naming the first variable that does not, or whose constraint does not hold.
-    """
+    """Check that the design of a row, (d,), lies in the design space."""
     if broken := space.broken_rule(design):
         raise table.broken(row, *broken)
 

@@ -311,9 +311,6 @@ class CampaignSettings(_WithSections):
         Args:
             changes: the values.
             source: names them in errors.
-
-        Raises:
-            InputError: if one breaks a rule.
         """
         values = self.model_dump(mode="json", by_alias=True)
         for key, value in changes.items():

@@ -9,9 +9,8 @@ from activefail.cli.check import check
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.options import with_options
-from activefail.cli.studies import compare
 from activefail.plugins import brought
-from activefail.run.analyses import design, fragility, probability, report, sensitivity, verify
+from activefail.run.analyses import compare, design, fragility, probability, report, sensitivity, verify
 
 _EXAMPLES: dict[Callable[..., None], str] = {
     campaigns: "--copy mine",
@@ -31,7 +30,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     **command_of(sensitivity),
     **command_of(fragility),
     export: "runs/first --csv simulations.csv",
-    compare: "runs/first --static 500,1000,2000",
+    **command_of(compare),
     **command_of(report),
     explore: "runs/first",
     doctor: "",

@@ -113,7 +113,12 @@ def _value(name: str, words: dict[str, Any], of: Option, out: Path | None, is_gi
         return word and out is not None and (is_given or words[of.bars] is None)
     if of.parse is None:
         return word
-    return of.default if word is None else of.parse(word)
+    if word is None:
+        return of.default
+    try:
+        return of.parse(word)
+    except ValueError as error:
+        raise InputError(f"{of.words(name)}: {error}, got {word!r}.") from None
 
 
 def site_of(folder: Path, jobs: "Jobs", code: Path | None = None, home: str = "") -> "Site":

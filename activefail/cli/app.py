@@ -25,7 +25,7 @@ Verbose = Annotated[
 ]
 
 app = typer.Typer(
-    help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
+    help="Learn where a simulation fails, with as few simulations as possible.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help: markup would read a unit in brackets as a style.

@@ -19,7 +19,6 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.analyses.findings.summary import Summary
-    from activefail.run.analysis import Findings
     from activefail.run.run import Run
     from activefail.text.csv_table import Target
 
@@ -140,14 +139,6 @@ def opened_run(
 def print_json(values: Mapping[str, object]) -> None:
     """Print figures as JSON."""
     print(json_text(values))
-
-
-def show_findings(findings: "Findings", as_json: bool) -> None:
-    """Print findings as lines or as JSON."""
-    if as_json:
-        print_json(findings.as_json())
-    else:
-        print("\n".join(map(visible, findings.lines)))
 
 
 def show_stage(text: str) -> None:

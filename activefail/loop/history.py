@@ -85,9 +85,19 @@ class History:
         return np.asarray(self.origin == INITIAL)
 
     @property
+    def given(self) -> NDArray[np.bool_]:
+        """Which simulations the campaign did not ask for, (n,)."""
+        return np.asarray(self.origin == GIVEN)
+
+    @property
+    def chosen(self) -> NDArray[np.bool_]:
+        """Which simulations the campaign chose after the initial design, (n,): active designs and checks."""
+        return ~self.initial & ~self.given
+
+    @property
     def asked_for(self) -> int:
         """How many simulations count towards the budget: all but those that the campaign did not ask for."""
-        return int((self.origin != GIVEN).sum())
+        return int((~self.given).sum())
 
     @property
     def failed_designs(self) -> Array:
@@ -97,14 +107,13 @@ class History:
     @property
     def leading_failures(self) -> int:
         """How many simulations failed before the first one with an outcome, without those that were given."""
-        answered = self.answered[self.origin != GIVEN]
+        answered = self.answered[~self.given]
         return int(np.argmax(answered)) if answered.any() else len(answered)
 
     @property
     def without_leading_failures(self) -> Self:
         """The simulations without those `leading_failures`: the simulator has been fixed since."""
-        own = self.origin != GIVEN
-        return self[~own | (np.cumsum(own) > self.leading_failures)]
+        return self[self.given | (np.cumsum(~self.given) > self.leading_failures)]
 
     @property
     def first_learnable(self) -> int:

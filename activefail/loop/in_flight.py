@@ -9,7 +9,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs
 from activefail.record.asked import Asked, are_among
-from activefail.record.batch import GIVEN, INITIAL
+from activefail.record.batch import INITIAL
 from activefail.record.store import Store
 from activefail.space.space import Array
 
@@ -58,9 +58,7 @@ class HandedOut:
         handed_out, size = int((self.asked.origin == INITIAL).sum()), campaign.settings.sampling.initial
         sets = max(1, -(-handed_out // size))
         hypercubes = initial_designs(campaign, sets)
-        given = self.history[(self.history.origin == GIVEN) & self.history.answered].designs.reshape(
-            -1, hypercubes.shape[1]
-        )
+        given = self.history[self.history.given & self.history.answered].designs.reshape(-1, hypercubes.shape[1])
         # A given design of the hypercubes is not among those that are left.
         covering = campaign.space.contains(given)
         if campaign.settings.is_repeatable:

@@ -11,7 +11,6 @@ from activefail.campaign.assembly import Campaign
 from activefail.estimates.confidence_bounds import unseen_outcomes
 from activefail.execution.executor import Arrived, AsynchronousExecutor
 from activefail.loop.history import History
-from activefail.record.batch import GIVEN
 from activefail.simulators.interface import Results, Simulator, is_impossible
 from activefail.space.space import Array
 
@@ -80,7 +79,7 @@ def standing(campaign: Campaign, history: History, budget: int) -> Progress:
         done=history.asked_for,
         budget=budget,
         counts=counts,
-        numerical_failures=int((~history.answered & ~impossible & (history.origin != GIVEN)).sum()),
+        numerical_failures=int((~history.answered & ~impossible & ~history.given).sum()),
         unseen=unseen_outcomes(outcomes, counts),
     )
 

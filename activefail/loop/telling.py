@@ -108,9 +108,6 @@ def new_results(campaign: Campaign, ids: NDArray[np.int64], results: Results, ha
     Args:
         campaign, ids, results: as for `tell`.
         handed: the designs of the store.
-
-    Raises:
-        InputError: as `tell` does.
     """
     recorded, known = _places(handed.history.id), _places(handed.asked.id)
     new: dict[int, int] = {}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from activefail.errors import InputError
 from activefail.learning.model.threads import one_thread
+from activefail.plugins import brought
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.run.analysis import REQUIRED, Option, analysis, option
 from activefail.session.arguments import names_of
@@ -35,7 +36,7 @@ TARGET_BOUNDARY = "Default: the outcome of the target boundary."
 
 FIXED: Any = Option(
     None,
-    "Values of variables, such as T_b=4.0,mu=0.05, or a TOML file with them; in Python also values by name.",
+    "Values of variables, such as load=4,depth=0.3, or a TOML file with them; in Python also values by name.",
     Path,
     names=("--fixed", "--bearing"),
 )
@@ -104,7 +105,7 @@ def probability(
     outcome: str | None = option(None, f"Outcome whose probability is estimated. {TARGET_BOUNDARY}"),
     question: "Question | Path | str | None" = option(None, f"{QUESTION}, or a hazard file (docs/hazard.md).", Path),
     hazard: "Hazard | Path | str | None" = option(
-        None, "Hazard file; the distribution is that of its pulses (docs/hazard.md).", Path
+        None, "Hazard file; the distribution is that of its loads (docs/hazard.md).", Path
     ),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED,
     wrong: float | None = WRONG,
@@ -141,7 +142,7 @@ def _range(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"--range: must be two numbers separated by a comma, got {text!r}.") from None
+        raise ValueError("must be two numbers separated by a comma") from None
     return low, high
 
 
@@ -155,15 +156,9 @@ def _range(text: str) -> tuple[float, float]:
 def fragility(
     run: Session,
     hazard: "Hazard | Path | str | None" = option(
-        None, "Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", Path, bars="wrong"
+        None, "Hazard file; the curves are against the intensity of its loads (docs/hazard.md).", Path, bars="wrong"
     ),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED,
-    intensity: Literal["pgv", "a_p"] = option(
-        "pgv",
-        "With --hazard: peak ground velocity, or amplitude of the pulses.",
-        Literal["pgv", "a_p"],
-        needs="hazard",
-    ),
     against: str | None = option(None, "Without --hazard: the variable of the curves.", metavar="VARIABLE"),
     bounds: tuple[float, float] | None = option(
         None,
@@ -187,7 +182,7 @@ def fragility(
 ) -> "FragilityFindings":
     """Show the probability of each outcome against intensity.
 
-    The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
+    The curves are for the outcome or a more severe one, against the intensity of loads or another variable.
     """
     from activefail.analyses.fragility import calculation
     from activefail.analyses.fragility.band import LEAST
@@ -197,7 +192,7 @@ def fragility(
 
     outcome = boundary_named(run, outcome)
     asked = Inquiry.of(run.campaign, hazard, question, fixed)
-    ladder = ladder_of(asked, intensity, against, bounds)
+    ladder = ladder_of(asked, against, bounds)
     if 0 < verify < LEAST:
         raise InputError(f"verify: must be at least {LEAST}, got {verify}.")
     if bounds is not None:
@@ -208,6 +203,9 @@ def fragility(
             return fragility_by_stripes(stripes, asked, ladder, outcome, wrong, confidence)
     with estimating(run, executor, stage, bool(verify)) as estimator:
         return calculation.fragility(estimator, asked, ladder, outcome, verify, confidence, stage)
+
+
+_FREE = f"Variables to design, separated by commas; by default {brought('defaults').get('free', 'none')}."
 
 
 def _names(text: str) -> list[str]:
@@ -232,9 +230,9 @@ def design(
         None, "Question file instead of a hazard (docs/probability.md).", Path
     ),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED,
-    free: "Sequence[str]" = option((), "Variables to design, such as D_tot,mu; D_tot by default.", str, parse=_names),
+    free: "Sequence[str]" = option((), _FREE, str, parse=_names),
     cost: str = option(
-        "", "Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default."
+        "", "Expression to minimise, such as 'area * (1 + 20 * price)'; the first free variable by default."
     ),
     confidence: float = confidence_of("that the target is met", 0.95),
     simulations: int = option(
@@ -257,7 +255,7 @@ def design(
     first one is made as small as the targets allow while the others are held.
     """
     from activefail.analyses.design.by_stripes import design_by_stripes
-    from activefail.analyses.design.design_task import DEFAULT_FREE, design_task, read_targets
+    from activefail.analyses.design.design_task import default_free, design_task, read_targets
     from activefail.analyses.design.findings import DesignFindings
     from activefail.analyses.design.risk_target import at_risk
     from activefail.analyses.design.search import find_design
@@ -266,7 +264,7 @@ def design(
 
     campaign, names = run.campaign, names_of("free", free)
     requirements = read_targets(str(target), campaign.simulator.outcomes, run.boundary)
-    sought, rate = names or (DEFAULT_FREE,), None
+    sought, rate = names or default_free(run.space), None
     asked = Inquiry.of(campaign, hazard, question, fixed, sought)
     if any(one.years is not None for one in requirements):
         site, requirements, rate = at_risk(asked.hazard, requirements)
@@ -294,7 +292,7 @@ def design(
 def sensitivity(
     run: Session,
     hazard: "Hazard | Path | str | None" = option(
-        None, "Hazard file (docs/hazard.md); the sensitivity of a design's probability, averaged over the pulses.", Path
+        None, "Hazard file (docs/hazard.md); the sensitivity of a design's probability, averaged over the loads.", Path
     ),
     question: "Question | Path | str | None" = option(None, f"{QUESTION}.", Path),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED,
@@ -328,20 +326,33 @@ def sensitivity(
         return calculation.sensitivity(asked, boundaries, outcome, *options, run.classifier, p_values, beyond)
 
 
-@analysis()
+def _sizes(text: str) -> list[int]:
+    try:
+        return sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise ValueError("must be whole numbers separated by commas") from None
+
+
+@analysis("runs/first --static 500,1000,2000")
 def compare(
     run: Session,
-    budgets: "Sequence[int]" = option((), "Numbers of simulations of the campaign; six by default."),
-    test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000),
-    static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default."),
-    hypercubes: int = option(1, "Number of static designs of each size.", low=1),
+    budgets: "Sequence[int]" = option(
+        (),
+        "Numbers of simulations of the campaign, such as 250,500; six by default.",
+        str,
+        parse=_sizes,
+    ),
+    test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000, names=("--test",)),
+    static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default.", str, parse=_sizes),
+    hypercubes: int = option(1, "Number of static designs of each size.", low=1, names=("--seeds",)),
     *,
     executor: "Executor | None" = None,
     stage: Stage = silent,
 ) -> "ComparisonFindings":
     """Compare the campaign with static designs on the same fresh designs.
 
-    Writes a table and a figure to the subfolder `compare` of the run folder.
+    Ends with the size of a static design that is as accurate. Writes a table and a figure to the subfolder `compare`
+    of the run folder.
     """
     from activefail.analyses.comparison.equivalent import ComparisonFindings
     from activefail.analyses.comparison.static import compare, remember_scores, write_scores
@@ -367,7 +378,7 @@ def report(
         None, "File to write; report.html in the run folder by default.", Path, names=("--out",)
     ),
     hazard: "Hazard | Path | str | None" = option(
-        None, "Hazard file (docs/hazard.md): adds fragility curves and the bearing that each target requires.", Path
+        None, "Hazard file (docs/hazard.md): adds fragility curves and the design that each target requires.", Path
     ),
     fixed: "Mapping[str, float] | Path | str | None" = FIXED._replace(needs="hazard"),  # noqa: B008
     target: "float | str | None" = option(

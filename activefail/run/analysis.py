@@ -56,7 +56,7 @@ class Option(NamedTuple):
         names: on the command line, if they are not the argument's.
         is_argument: whether the command line takes it by its place, without a name.
         metavar: what stands for its value there, if it is not the type.
-        parse: makes the value of a word.
+        parse: makes the value of a word; a ValueError states the rule that the word breaks.
         with_out: whether it is for the pages alone, and so off without `--out`.
         parts: if the value is an object: the options of the command line that make it, by the names of its arguments.
         needs, bars: the option without which, or beside which, this one has no effect, so that it is refused.
@@ -86,11 +86,7 @@ class Option(NamedTuple):
         return " or ".join((names or (f"--{part.replace('_', '-')}",))[0] for part, names in named.items())
 
     def check(self, name: str, value: Any) -> None:
-        """Check the value of an argument.
-
-        Raises:
-            InputError: naming the argument, the rule and the value.
-        """
+        """Check the value of an argument."""
         if get_origin(self.kind) is Literal and value not in (words := get_args(self.kind)):
             raise InputError(f"{name}: must be {' or '.join(words)}, got {value!r}.")
         if value is None or self.kind not in (int, float):
@@ -148,9 +144,6 @@ class Analysis(NamedTuple):
         Args:
             given: their values by name.
             in_words: whether messages name the options of the command line instead.
-
-        Raises:
-            InputError: naming the argument, the rule and the value.
         """
         named = {name: of.words(name) if in_words else name for name, of in self.options.items()}
         is_set = {name for name, value in given.items() if value is not None and value is not False}

@@ -14,8 +14,9 @@ FEATURES = {
 SIMULATORS = {"dfp": "activefail.seismic.settings:BearingSettings"}
 """The double friction pendulum bearing, by its settings (`activefail.campaign.named.NamedSettings`)."""
 
-DEFAULTS = {"simulator": "dfp", "features": "paper"}
-"""The simulator of a campaign file that names none, and its features."""
+DEFAULTS = {"simulator": "dfp", "features": "paper", "free": "D_tot", "chart": ("T_b", "mu")}
+"""The simulator of a campaign file that names none, and its features; what a design makes small if it names nothing;
+the first variables of its chart."""
 
 SETS = {"motions": "activefail.seismic.motions.motions:Motions"}
 """The ground motions of a variable with a set of records."""
@@ -53,6 +54,12 @@ DERIVED = {"PGV": "activefail.seismic.hazard.velocity:VELOCITY"}
 
 QUESTIONS = {"hazard": "activefail.seismic.hazard.hazard:Hazard"}
 """Kinds of question files: the pulses of a site."""
+
+CURVES = {
+    "pelicun.csv": "activefail.seismic.exports:pelicun",
+    "openquake.xml": "activefail.seismic.exports:openquake",
+}
+"""Fragility curves for other programs, by file: functions of a ladder and the curves by outcome."""
 
 FORMULAS = {"lateral_force_over_weight": "activefail.seismic.bearing.terms:lateral_force"}
 """Numbers of a design, beside those of its simulator's terms."""

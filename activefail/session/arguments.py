@@ -33,11 +33,7 @@ def names_of(argument: str, names: Any) -> tuple[str, ...]:
 
 
 def source_of(name: str, source: Any) -> "Source":
-    """A table to read in an argument: a file, or a binary stream.
-
-    Raises:
-        InputError: if it is something else.
-    """
+    """A table to read in an argument: a file, or a binary stream."""
     source = as_path(source)
     if isinstance(source, io.TextIOBase):
         raise InputError(f"{name}: must be a file that was opened in binary mode, or its path.")
@@ -47,11 +43,7 @@ def source_of(name: str, source: Any) -> "Source":
 
 
 def target_of(name: str, target: Any) -> "Target":
-    """A table to write in an argument: a file, or a text stream.
-
-    Raises:
-        InputError: if it is something else.
-    """
+    """A table to write in an argument: a file, or a text stream."""
     target = as_path(target)
     is_binary = isinstance(target, io.RawIOBase | io.BufferedIOBase)
     if not isinstance(target, Path) and (is_binary or not hasattr(target, "write")):
@@ -60,11 +52,7 @@ def target_of(name: str, target: Any) -> "Target":
 
 
 def table_of(table: Any) -> "Table":
-    """A table of results or simulations in an argument: a CSV file, or Python data (see `Run.tell`).
-
-    Raises:
-        InputError: if it is something else, or breaks a rule of tables.
-    """
+    """A table of results or simulations in an argument: a CSV file, or Python data (see `Run.tell`)."""
     from activefail.text.csv_table import Table
 
     is_file = isinstance(table, str | os.PathLike) or hasattr(table, "read")
@@ -72,11 +60,7 @@ def table_of(table: Any) -> "Table":
 
 
 def check_whole(name: str, number: SupportsIndex, least: int, most: float = math.inf) -> None:
-    """Check an argument that is a whole number.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
-    """
+    """Check an argument that is a whole number."""
     try:
         if isinstance(number, bool):
             raise TypeError

@@ -200,9 +200,9 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
     with open_run(folder / "run", code=folder) as run:
         findings, design = run.findings, np.array([5.0, 3.0, 1.0, 0.0])
         pale, full = marks_in(findings, design, [0, 1])
-        same = np.all(findings.X[:, 2:] == design[2:], axis=1)
-        assert sorted(full.places.tolist()) == sorted(findings.X[same][:, :2].tolist())
-        assert len(pale.places) + len(full.places) == len(findings.X) > same.sum() > 0
+        same = np.all(findings.history.designs[:, 2:] == design[2:], axis=1)
+        assert sorted(full.places.tolist()) == sorted(findings.history.designs[same][:, :2].tolist())
+        assert len(pale.places) + len(full.places) == len(findings.history.designs) > same.sum() > 0
         axes = run.plot_boundary("load", "storeys", {"soil": "B", "system": "frame"}, Figure().subplots())
         drawn = [marks for marks in axes.collections if isinstance(marks, PathCollection)]
         assert sum(len(marks.get_offsets()) for marks in drawn if marks.get_alpha() == 1.0) == same.sum()
@@ -210,7 +210,7 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
             plane for plane in coordinates(findings).planes if findings.campaign.space.names[plane.third] == "soil"
         ]
         figures = plot_outcome_planes(plane, coordinates(findings), findings)
-        of_soil = [findings.X[:, 2] == value for value in plane.values]
+        of_soil = [findings.history.designs[:, 2] == value for value in plane.values]
         drawn = [
             sum(
                 len(marks.get_offsets())
@@ -219,7 +219,7 @@ def test_a_plane_pales_the_designs_with_other_choices(folder: Path) -> None:
             )
             for axes in (figure.axes[0] for figure in figures)
         ]
-        assert drawn == [int((rows & (findings.X[:, 3] == 0.0)).sum()) for rows in of_soil]
+        assert drawn == [int((rows & (findings.history.designs[:, 3] == 0.0)).sum()) for rows in of_soil]
 
 
 def test_an_array_of_numbers_and_wrong_shapes_are_no_designs_where_variables_have_choices(folder: Path) -> None:
@@ -476,7 +476,6 @@ def test_the_command_designs_over_choices_and_takes_one_with_a_comma(beams: Path
     numbers = json.loads(shown.out)
     assert numbers["bearing"]["steel"] == "hard, hot rolled"
     assert numbers["cost"] == {"expression": "the place of steel among soft, hard, hot rolled, special", "value": 1.0}
-    assert numbers["first_free_variable_by_confidence"] == {}
     found = activefail("probability", beams / "run", "--code", beams, "--fixed", tmp_path / "out" / "design.toml")
     again = activefail("probability", beams / "run", "--code", beams, "--fixed", "width=1.0,steel=hard, hot rolled")
     assert found.code == again.code == 0, again.err

@@ -475,7 +475,6 @@ def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Pat
         ("--out", folder / own, ("predict", folder, *table_of)),
         ("--out", folder / own, ("report", folder)),
         ("--out", folder / own, ("run", tiny)),
-        ("--out", folder / own, ("compare", tiny)),
     ):
         result = activefail(*words, option, path)
         refused(result, f"{option}: {path} is one of the run folder's own files; choose another.")
@@ -526,65 +525,6 @@ def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simula
 ) -> None:
     refused(activefail("compare", folder, f"--budgets={budgets}"), rule)
     assert sets(folder) == {}
-
-
-SMALL = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 10 }\n"
-
-
-def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_campaign(tmp_path / "small.toml", SMALL)
-    words = ("compare", tmp_path / "small.toml", "--seeds", "1", "--static", "20", "--test", "100", "--jobs", "1")
-    result = activefail(*words, "--out", tmp_path / "out")
-    assert (result.code, "Traceback" in result.err) == (0, False)
-    assert "entropy" in result.out
-    assert (tmp_path / "out" / "comparison.md").exists()
-    assert (tmp_path / "out" / "accuracy.png").read_bytes().startswith(b"\x89PNG")
-    # The same pictures would be drawn each time.
-    monkeypatch.setattr("activefail.pages.report.analyses.save_png_and_svg", lambda *drawn: [])
-    assert activefail(*words, "--out", tmp_path / "out") == CommandResult(0, result.out, "")
-    shown = json.loads(activefail(*words, "--out", tmp_path / "out", "--json").out)
-    assert shown["page"] == str(tmp_path / "out" / "comparison.md")
-    for row, score in zip(table(tmp_path / "out" / "scores.csv"), shown["scores"], strict=True):
-        for name, value in score["measures"].items():
-            assert value == (float(row[name]) if row[name] else None)
-
-
-@pytest.mark.parametrize(
-    ("words", "rule"),
-    [
-        ((), "--out: required"),
-        (("--out", "out", "--budgets", "20"), "--budgets: only for the comparison of a run folder"),
-        (("--out", "out", "--static", "1,20"), "--static: must be at least 2, got 1"),
-        (("--out", "out", "--criteria", "entropic"), "acquisition.criterion: must be"),
-        (("--out", "out", "--features", "papers"), "classifier.features: must be"),
-    ],
-)
-def test_a_comparison_that_cannot_be_is_refused_before_anything_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], rule: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_campaign(tmp_path / "small.toml", SMALL)
-    refused(activefail("compare", "small.toml", *words), rule)
-    assert sorted(os.listdir(tmp_path)) == ["pounding_model.py", "small.toml"]
-
-
-def test_a_comparison_is_not_made_among_other_things(folder: Path, tmp_path: Path) -> None:
-    write_campaign(tmp_path / "small.toml", SMALL)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").touch()
-    for place, holds in ((tmp_path / "mine", "notes.txt"), (folder, "campaign.toml")):
-        before = sorted(place.rglob("*"))
-        result = activefail("compare", tmp_path / "small.toml", "--out", place, "--seeds", "1", "--test", "10")
-        refused(result, f"{place} is not empty (it holds {holds}): a new comparison needs a new folder.")
-        assert sorted(place.rglob("*")) == before
-
-
-def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -> None:
-    refused(
-        activefail("compare", folder, "--criteria", "bald"), "--criteria: only for the comparison of a campaign file"
-    )
 
 
 def test_work_without_a_terminal_says_now_and_then_how_far_it_is(
@@ -737,23 +677,6 @@ def test_a_ctrl_c_while_a_campaign_starts_says_how_to_continue(tiny: Path, tmp_p
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1].endswith(f"Continue with: activefail resume {tmp_path / 'run'}")
-
-
-@pytest.mark.faults
-def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the_same_command_goes_on(
-    tmp_path: Path,
-) -> None:
-    write_campaign(tmp_path / "mine.toml", "seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
-    words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.analyses.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
-        wait_for(running.process.stderr, "campaigns and classifiers")
-        err = struck_as_by_a_terminal(running.process, running.release)
-    assert (
-        err.splitlines()[-1]
-        == f"stopped; scores are kept in {tmp_path / 'compared'}. Run the same command to continue."
-    )
-    result = activefail(*words, "--static", "20")
-    assert result.code == 0, result.err
 
 
 @pytest.mark.faults

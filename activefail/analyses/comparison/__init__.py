@@ -1,1 +1,1 @@
-"""Active against static sampling, for one campaign and over seeds."""
+"""Active against static sampling."""

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from activefail.analyses.comparison.seeds import Point, simulations_to_reach
 from activefail.analyses.comparison.static import by_size, median_score, score_lines
 from activefail.estimates.scores import Score
 from activefail.record.layout import CURVES, SCORES
 from activefail.space.shares import percent
+from activefail.space.space import Array
 
 _Z = 1.96
 """Least difference of two accuracies that no chance explains, in standard errors."""
@@ -98,13 +99,12 @@ def equivalent(scores: Sequence[Score]) -> Equivalent | None:
     # A table from elsewhere may lack some designs.
     series = min(len(group) for group in groups)
     accuracy = np.array([[row.accuracy for row in group[:series]] for group in groups])
-    sizes = [group[0].simulations for group in groups]
+    sizes = np.array([group[0].simulations for group in groups])
 
     same = [group for group in groups if group[0].simulations == active.simulations]
 
     def reached(columns: slice) -> float | None:
-        points = [Point(n, values[columns]) for n, values in zip(sizes, accuracy, strict=True)]
-        return simulations_to_reach(points, active.accuracy)
+        return simulations_to_reach(sizes, np.median(accuracy[:, columns], axis=1), active.accuracy)
 
     each = sorted((reached(slice(k, k + 1)) for k in range(series)), key=lambda size: np.inf if size is None else size)
     return Equivalent(
@@ -116,9 +116,21 @@ def equivalent(scores: Sequence[Score]) -> Equivalent | None:
         each[-1],
         median_score(same[0]).accuracy if same else None,
         series,
-        sizes[0],
-        sizes[-1],
+        int(sizes[0]),
+        int(sizes[-1]),
     )
+
+
+def simulations_to_reach(sizes: NDArray[np.int64], accuracies: Array, level: float) -> float | None:
+    """The size at which accuracies, (n,) by size, first reach a level, interpolated in log n; None if never."""
+    reached = np.nonzero(accuracies >= level)[0]
+    if not len(reached):
+        return None
+    after = int(reached[0])
+    if after == 0:
+        return float(sizes[0])
+    share = (level - accuracies[after - 1]) / (accuracies[after] - accuracies[after - 1])
+    return float(np.exp(np.log(sizes[after - 1]) + share * np.log(sizes[after] / sizes[after - 1])))
 
 
 def _rounded(size: float) -> int:

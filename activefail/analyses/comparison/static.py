@@ -15,7 +15,6 @@ from activefail.execution.executor import Executor
 from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.initial import initial_size
-from activefail.record.batch import GIVEN
 from activefail.record.store import Store
 from activefail.space.shares import interval_percent, percent
 from activefail.text.csv_table import writing
@@ -93,7 +92,7 @@ def compare(
         for n in budgets:
             stage(f"learning from {n} active simulations")
             classifier = learn_from(campaign, history[:n])
-            given = int((history.origin[:n] == GIVEN).sum())
+            given = int((history.given[:n]).sum())
             scores.append(replace(score("active", classifier, severity, n, X_test, outcome_test), given=given))
         for n in static or budgets:
             for number in range(hypercubes):

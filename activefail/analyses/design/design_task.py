@@ -15,6 +15,7 @@ from activefail.analyses.fragility.curve import Rate
 from activefail.campaign.inquiry import Inquiry
 from activefail.campaign.question import Question
 from activefail.errors import InputError
+from activefail.plugins import brought
 from activefail.simulators.interface import noun_of
 from activefail.space.expressions import check_no_texts, parse_expression
 from activefail.space.parameter import Parameter
@@ -23,9 +24,6 @@ from activefail.visible import visible
 
 RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
 """Largest probabilities of collapse given MCE_R, by risk category [ASCE2017, table 1.3-2]."""
-
-DEFAULT_FREE = "D_tot"
-"""The variable of a bearing that is made as small as possible."""
 
 MOST_COMBINATIONS, MOST_SEARCHED = 5000, 100
 """Most combinations of the values of free variables that are compared, and of choices beside a continuous variable,
@@ -215,9 +213,6 @@ def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Require
         text: the targets.
         outcomes: of the campaign, from least to most severe.
         main: outcome of a target without a name.
-
-    Raises:
-        InputError: naming the rule and the value.
     """
     requirements: list[Requirement] = []
     for part in text.split(","):
@@ -259,6 +254,12 @@ def _number(text: str) -> float:
         return math.nan
 
 
+def default_free(space: DesignSpace) -> tuple[str, ...]:
+    """The variable that is made as small as possible if none is named; none if the campaign lacks it."""
+    name = brought("defaults").get("free", "")
+    return (name,) if name in space.names else ()
+
+
 def design_task(
     asked: Inquiry,
     requirements: tuple[Requirement, ...],
@@ -273,17 +274,14 @@ def design_task(
     Args:
         asked: what is asked of the campaign.
         requirements: the targets.
-        free: names of the variables that may change; D_tot if there are none.
+        free: names of the variables that may change; that of the plug-ins (`default_free`) if there are none.
         cost: expression of the campaign's variables that is made small; the first free variable if empty.
         confidence: that the targets are met.
         simulations: most for each target.
         rate: how often the question's pulses occur, if the targets were risks.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
     """
     space, question = asked.campaign.space, asked.question
-    names = tuple(free) or ((DEFAULT_FREE,) if DEFAULT_FREE in space.names else ())
+    names = tuple(free) or default_free(space)
     if not names:
         raise InputError(f"free: name the variables that may change; the campaign has {', '.join(space.names)}.")
     ranges = {one.name: one for one in space.parameters}

@@ -1,14 +1,13 @@
 """What a search for a design found, in numbers and words."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 from activefail.analyses.design.by_stripes import candidates_of
 from activefail.analyses.design.design_task import LOOKS
 from activefail.analyses.design.required_chart import RequiredChart, chart_of
-from activefail.analyses.design.search import WORTH, Answer, Designed, costs_of
+from activefail.analyses.design.search import WORTH, Answer, Designed
 from activefail.analyses.findings.learned_from import noise_notes
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.stripes.findings import StripeFindings
@@ -40,10 +39,8 @@ class DesignFindings:
         outside: what of the question lies outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
-        at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
+        at_least: classifier's probability of each target's outcome at the least level of the hazard's curve,
             without interval; empty unless the targets are risks in a number of years.
-        costs: by confidence, the value of the first free variable that it would take, the others held; NaN if out of
-            range; empty if out of reach, and by stripes.
         chart: values that targets require; None if it was not asked for.
         noise: sentences on a margin whose noise is not normal.
     """
@@ -52,7 +49,6 @@ class DesignFindings:
     outside: Outside
     at_upper: tuple[float, ...] = ()
     at_least: tuple[float, ...] = ()
-    costs: Mapping[float, float] = field(default_factory=dict)
     chart: RequiredChart | None = None
     noise: tuple[str, ...] = ()
 
@@ -71,10 +67,7 @@ class DesignFindings:
             with_chart: whether the chart of required values is wanted.
             stage: called with each stage of the work.
         """
-        task, costs = designed.task, dict[float, float]()
-        if designed.status != "out of reach":
-            stage(f"computing {task.free[0]} at other confidences")
-            costs = costs_of(estimator, designed)
+        task = designed.task
         chart = chart_of(estimator, task, designed.values, stage) if with_chart else None
 
         def probabilities(under: Question) -> tuple[float, ...]:
@@ -87,10 +80,10 @@ class DesignFindings:
             if (upper := hazard.at_bound("upper")).factors:
                 at_upper = probabilities(at_design.under(upper))
             if task.rate is not None:
-                at_least = probabilities(at_design.under(hazard, (hazard.intensity, task.rate.velocity)))
+                at_least = probabilities(at_design.under(hazard, task.rate.least))
         outside = designed.question.outside(task.asked.campaign.space)
         noise = tuple(noise_notes(estimator.classifier))
-        return cls(designed, outside, at_upper, at_least, costs, chart, noise)
+        return cls(designed, outside, at_upper, at_least, chart, noise)
 
     @property
     def campaign(self) -> Campaign:
@@ -161,7 +154,7 @@ class DesignFindings:
         sentences = [*self.designed.question.assumptions, *self.noise, *self._of_rate, *sentences, *self._of_looks]
         if self.hazard is None and self.designed.question.is_of_campaign:
             sentences.append(
-                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
+                "The loads have the distribution of the campaign. This is usually not the hazard of a site; "
                 "use --hazard or --question."
             )
         if missable := self.designed.missable:
@@ -175,12 +168,13 @@ class DesignFindings:
     @property
     def _of_rate(self) -> list[str]:
         """What a target in years leaves out."""
-        if (rate := self.designed.task.rate) is None:
+        if (rate := self.designed.task.rate) is None or self.hazard is None:
             return []
         at_least = ", ".join(percent(share) for share in self.at_least)
         return [
-            f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity the "
-            f"classifier's probability is {at_least} (no interval). Above its last point the curve is extrapolated."
+            f"{self.hazard.loads.capitalize()} below {rate.least:g} {self.hazard.unit}, where the hazard's curve "
+            f"begins, are left out. There the classifier's probability is {at_least} (no interval). Above its last "
+            "point the curve is extrapolated."
         ]
 
     @property
@@ -322,11 +316,6 @@ class DesignFindings:
         """Values of variables, as text."""
         return values_in_words(self.campaign.space, values, with_units)
 
-    def _first(self, value: float) -> Any:
-        """A value of the first free variable, as people see it."""
-        name = self.designed.task.free[0]
-        return None if math.isnan(value) else self.campaign.space.written({name: value})[name]
-
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
         designed, task, result, rate = self.designed, self.designed.task, self.designed.result, self.designed.task.rate
@@ -345,7 +334,7 @@ class DesignFindings:
                     "low": rate.risk(estimate.low),
                     "high": rate.risk(estimate.high),
                     "annual_rate_of_pulses": rate.annual,
-                    "least_pgv_m_s": rate.velocity,
+                    "least_pgv_m_s": rate.least,
                 },
             }
             for one, estimate, model in parts
@@ -376,9 +365,6 @@ class DesignFindings:
                 "contradictions_where_sure": result.surprising,
                 "could_fail_unseen": None if designed.by_stripes else designed.missable,
                 "at_limit_of_range": designed.at_limit,
-                "first_free_variable_by_confidence": {
-                    f"{of:g}": self._first(value) for of, value in self.costs.items()
-                },
                 **{name: found and found[0] for name, found in self.formulas.items()},
                 "terms": self.terms and self.terms.as_json(),
                 "classifier_probability_at_upper_bounds": self.at_upper or None,
@@ -421,25 +407,18 @@ class DesignFindings:
             )
             rows.append((title, text))
             rows += estimate.rows if isinstance(estimate, StripeFindings) else []
-            if (rate := task.rate) is not None:
+            if (rate := task.rate) is not None and self.hazard is not None:
                 low, middle, high = (rate.risk(P) for P in (estimate.low, estimate.probability, estimate.high))
                 text = (
                     f"{percent(middle, 2)} in {rate.years:g} years, {bounds_percent(low, high)}; target "
-                    f"{percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least {rate.velocity:g} m/s a "
-                    "year"
+                    f"{percent(rate.risk(one.target), 2)}; {rate.annual:g} {self.hazard.loads} of at least "
+                    f"{rate.least:g} {self.hazard.unit} a year"
                 )
                 rows.append(("risk", text))
         rows.append(("from", self._from))
         if task.cost_text != first:
             rows.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
         rows += [("limit", f"{name} is at the {side} end of its range") for name, side in designed.at_limit.items()]
-        if self.costs:
-            shown = ", ".join(
-                f"{100.0 * confidence:g} % "
-                f"{'out of range' if math.isnan(value) else self.in_words({first: value}).removeprefix(f'{first} = ')}"
-                for confidence, value in self.costs.items()
-            )
-            rows.append(("confidence", f"{first} at another confidence, approximately and not verified: {shown}"))
         if self.terms is not None:
             rows += self.terms.lines(self._upper)
         else:

@@ -10,6 +10,7 @@ from activefail.analyses.classifier_probability import classifier_probability
 from activefail.analyses.design.design_task import RISK_CATEGORIES, DesignTask
 from activefail.estimates.integral import Standardised
 from activefail.estimates.probability_estimator import Estimator
+from activefail.plugins import brought
 from activefail.space.space import Array
 from activefail.text.progress import Stage, silent
 
@@ -18,9 +19,6 @@ _POINTS = 256
 
 _ALONG, _ACROSS, _LINES = 11, 6, 3
 """Values of the required variable, of the axis and of the lines."""
-
-_FIRST = ("T_b", "mu")
-"""Variables of the axis and of the lines, where a campaign has them: the most informative ones of a bearing."""
 
 _MIDDLE = (0.1, 0.9)
 """Shares of a range between which the values of the lines lie."""
@@ -68,7 +66,8 @@ def chart_of(
     space, fixed = estimator.campaign.space, {**task.question.fixed, **held}
     ordered = {one.name: one for one in space.parameters if not one.choices}
     certain = [name for name in ordered if name in fixed and name != task.free[0]]
-    names = sorted(certain, key=lambda name: (*(name != one for one in _FIRST), name not in task.free))
+    first = brought("defaults").get("chart", ())
+    names = sorted(certain, key=lambda name: (*(name != one for one in first), name not in task.free))
     if len(names) < 2 or task.free[0] not in ordered:
         return None
     across, lines = ordered[names[0]], ordered[names[1]]

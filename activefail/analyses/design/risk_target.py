@@ -31,8 +31,8 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
             side = "larger" if target < LEAST_TARGET else "smaller"
             raise InputError(
                 f"target: {100.0 * one.target:g} % in {years:g} years is a probability of {100.0 * target:.3g} % given "
-                f"a pulse of at least {rate.velocity:g} m/s, where [curve] begins. This probability must be between "
-                f"{100.0 * LEAST_TARGET:g} and 90 %. Begin the curve at a {side} velocity."
+                f"{hazard.loads} of at least {rate.least:g} {hazard.unit}, where [curve] begins. This probability must "
+                f"be between {100.0 * LEAST_TARGET:g} and 90 %. Begin the curve at a {side} level."
             )
         of_pulse.append(one._replace(target=target))
     return hazard.of_rates(), tuple(of_pulse), rate

@@ -42,9 +42,6 @@ _FAR = math.log(2.0)
 _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
 
-_CONFIDENCES = (0.8, 0.9, 0.95, 0.99)
-"""Confidences at which a result states the value of the first free variable."""
-
 _IMAGINED = LOOKS + 1
 """Number of the sample of pulses that predicts the width of an interval and is not simulated."""
 
@@ -406,28 +403,6 @@ def _corrected(aims: Array, model: Array, found: Array) -> Array:
         aims, model, found: (r,) each; of the classifier, and by simulations, at the design.
     """
     return np.where(found < model, aims + model - found, aims * np.maximum(model, _LEAST) / np.maximum(found, _LEAST))
-
-
-def costs_of(estimator: Estimator, designed: Designed) -> dict[float, float]:
-    """By confidence, the value of the first free variable that it would take, the others held; NaN if out of range.
-
-    It differs from the result by as much as values that the last look alone would give. Empty for one of choices.
-    """
-    task, look, first = designed.task, designed.result, designed.task.free[0]
-    model, held = _model_of(estimator, task), {name: designed.values[name] for name in task.free[1:]}
-
-    def value(confidence: float) -> float:
-        highs = np.array([one.high for one in look.estimates_of(2.0 * confidence - 1.0)])
-        aims = _corrected(task.targets, look.candidate.model, highs)
-        of_search = np.maximum(model(designed.values, task.points), _LEAST)
-        candidate = cheapest(task, model, aims * of_search / np.maximum(look.candidate.model, _LEAST), held)
-        return candidate.values[first] if candidate.is_feasible else math.nan
-
-    if first in task.choices or math.isnan(own := value(task.confidence)):
-        return {}
-    others = [one for one in _CONFIDENCES if one != task.confidence]
-    moved = {one: round(designed.values[first] + value(one) - own, 12) for one in others}
-    return {one: at if task.low[first] <= at <= task.high[first] else math.nan for one, at in moved.items()}
 
 
 def cheapest(task: DesignTask, model: Model, aims: Array, held: Mapping[str, float] | None = None) -> Candidate:

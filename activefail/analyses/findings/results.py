@@ -11,9 +11,8 @@ from activefail.estimates.error import expected_error
 from activefail.learning.model.classifier import Classifier
 from activefail.learning.model.moments import Predicted, binary_entropy
 from activefail.loop.history import History
-from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
-from activefail.simulators.interface import NUMERICAL_FAILURE, noun_of
+from activefail.simulators.interface import noun_of
 from activefail.space.space import Array
 from activefail.visible import or_worse, words
 
@@ -95,11 +94,7 @@ class Findings:
     """A campaign with its simulations and its classifier.
 
     Attributes:
-        X: (n, d) designs simulated so far, including numerical failures.
-        outcome: (n,) int8.
-        iteration: (n,) int64.
-        origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
-        ids: (n,) int64.
+        history: the simulations so far.
         expected: the error that the classifier expects of itself.
         pool, pool_prediction: a sample of the design space and its predictions.
     """
@@ -107,11 +102,7 @@ class Findings:
     folder: Path
     campaign: Campaign
     classifier: Classifier
-    X: Array
-    outcome: NDArray[np.int8]
-    iteration: NDArray[np.int64]
-    origin: NDArray[np.int8]
-    ids: NDArray[np.int64]
+    history: History
     expected: float
     pool: Array
     pool_prediction: Prediction
@@ -140,40 +131,15 @@ class Findings:
             changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
         return np.array(changes)
 
-    @property
-    def chosen(self) -> NDArray[np.bool_]:
-        """Which simulations the campaign chose after the initial design, (n,): active designs and checks."""
-        return np.asarray(~self.initial & ~self.given)
-
-    @property
-    def initial(self) -> NDArray[np.bool_]:
-        """Which simulations belong to the initial design, (n,)."""
-        return np.asarray(self.origin == INITIAL)
-
-    @property
-    def given(self) -> NDArray[np.bool_]:
-        """Which simulations the campaign did not ask for, (n,)."""
-        return np.asarray(self.origin == GIVEN)
-
-    @property
-    def answered(self) -> NDArray[np.bool_]:
-        """Which simulations gave an outcome, (n,)."""
-        return np.asarray(self.outcome != NUMERICAL_FAILURE)
-
 
 def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
     """The findings of a campaign with at least one simulation."""
-    history = History.of(store.batches)
     pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
     return Findings(
         folder,
         campaign,
         classifier,
-        history.designs,
-        history.outcome,
-        history.iteration,
-        history.origin,
-        history.id,
+        History.of(store.batches),
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),
@@ -183,13 +149,14 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
 def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
     """Simulated designs worth drawing, as (row, reason): on both sides of the target boundary, and at the first one."""
     campaign = findings.campaign
-    severity, outcome = campaign.severity, findings.outcome
-    F = campaign.features(findings.X)
+    severity, outcome = campaign.severity, findings.history.outcome
+    F = campaign.features(findings.history.designs)
     at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
     name = words(campaign.simulator.outcomes[severity])
     thing = noun_of(campaign.simulator)
     chosen: list[tuple[int, str]] = []
-    beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
+    beyond = np.flatnonzero(outcome >= severity)
+    short = np.flatnonzero((outcome < severity) & findings.history.answered)
     if len(beyond):
         first = int(beyond[np.argmin(at[beyond])])
         chosen.append((first, f"The simulated {thing} nearest to the {name} boundary, beyond it"))

@@ -18,7 +18,7 @@ from activefail.campaign.variables import FixedVariable
 from activefail.estimates.confidence_bounds import unseen_outcomes, upper_bound
 from activefail.loop.history import History
 from activefail.record.asked import Asked
-from activefail.record.batch import GIVEN, Schema
+from activefail.record.batch import Schema
 from activefail.space.shares import percent
 from activefail.space.space import Array
 from activefail.text.numerals import counted, outcomes_in_words
@@ -214,14 +214,13 @@ class Summary:
         """
         flight, outcomes = asked.in_flight(history.id), len(schema.outcomes)
         is_flag = len(schema.margins) == 1 and {*history.margins[history.outcome >= 0].ravel().tolist()} == {0.0, 1.0}
-        initial, given = history.initial, history.origin == GIVEN
         return cls(
             settings,
             tuple(map(visible, schema.outcomes)),
             history.last_iteration,
-            _counts(history[initial], outcomes),
-            _counts(history[~initial & ~given], outcomes),
-            _counts(history[given], outcomes),
+            _counts(history[history.initial], outcomes),
+            _counts(history[history.chosen], outcomes),
+            _counts(history[history.given], outcomes),
             tuple(flight.id.tolist()),
             int((flight.loop == 0).sum()),
             corrected,

@@ -45,7 +45,7 @@ def fragility(
     def at_level(level: float) -> Question:
         if hazard is None:
             return question.at({ladder.name: level})
-        return asked.under(hazard, (ladder.name, level))
+        return asked.under(hazard, level)
 
     def verified(of: str, curve: Curve) -> tuple[VerifiedLevel, ...]:
         if simulations is None:
@@ -88,24 +88,23 @@ def _under_hazard(
     findings: FragilityFindings, estimator: Estimator, asked: Inquiry, hazard: Hazard, ladder: Ladder, stage: Stage
 ) -> FragilityFindings:
     """The findings with what a hazard adds: its median, property bounds, loads and risk."""
-    space, boundaries, median = asked.campaign.space, estimator.boundaries, hazard.median(ladder.name)
+    space, boundaries, median = asked.campaign.space, estimator.boundaries, hazard.median
     without, alone = hazard.alone, None
     if without is not None:
-        stage("evaluating the curves of the pulses alone")
-        alone, _, _ = curves_on(boundaries, lambda level: asked.under(without, (ladder.name, level)), ladder, space)
+        stage(f"evaluating the curves of the {hazard.loads} alone")
+        alone, _, _ = curves_on(boundaries, lambda level: asked.under(without, level), ladder, space)
     at_bounds = {
         bound: integral_of(
-            asked.under(hazard.at_bound(bound), (ladder.name, median)), boundaries, space, RESOLUTION
+            asked.under(hazard.at_bound(bound), median), boundaries, space, RESOLUTION
         ).probability.tolist()
         for bound in hazard.bounds
     }
-    stage("finding the pulses that contribute")
+    stage(f"finding the {hazard.loads} that contribute")
     whole = integral_of(asked.question, boundaries, space).probability
     parts = hazard.deaggregated(boundaries, space, asked.fixed, whole)
-    rate, of_rates = None if hazard.rates is None else Rate(*hazard.rates), hazard.intensity
-    why = "" if ladder.name == of_rates else f"the hazard's annual rates are those of {of_rates}, not of {ladder.name}"
+    rate = None if hazard.rates is None else Rate(*hazard.rates)
     outside = asked.question.outside(space)
-    few = f"{percent(outside.share)} of the hazard's pulses lie outside the campaign's design space."
+    few = f"{percent(outside.share)} of the hazard's {hazard.loads} lie outside the campaign's design space."
     return replace(
         findings,
         boundaries=tuple(
@@ -113,14 +112,15 @@ def _under_hazard(
                 one,
                 alone=alone[column] if alone else None,
                 at_median={bound: values[column] for bound, values in at_bounds.items()},
-                risk=risk_of(one.curve, rate) if rate and not why else None,
+                risk=risk_of(one.curve, rate) if rate else None,
                 deaggregation=parts[column],
             )
             for column, one in enumerate(findings.boundaries)
         ),
         median=median,
+        loads=hazard.loads,
         outside_hazard=outside.share,
-        why_no_risk=why if rate else NO_RATES,
+        why_no_risk="" if rate else NO_RATES,
         notes=(*filter(None, [outside.advice or (few if outside.share else "")]), *findings.notes),
     )
 
@@ -139,4 +139,4 @@ def _notes(asked: Inquiry, name: str) -> list[str]:
         return notes
     if others := [one for one in asked.campaign.space.names if one not in {*hazard.variables, *asked.fixed}]:
         notes.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
-    return [*notes, *hazard.assumptions_at(name)]
+    return [*notes, *hazard.assumptions_at_levels]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, stdtrit
+from scipy.special import log_ndtr, ndtr, stdtrit
 
 from activefail.space.space import Array
 
@@ -30,6 +30,10 @@ class Lognormal:
 
     median: float
     dispersion: float
+
+    def at(self, levels: Array | float) -> Array:
+        """Probabilities at levels."""
+        return np.asarray(ndtr(np.log(np.asarray(levels) / self.median) / self.dispersion))
 
 
 def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:

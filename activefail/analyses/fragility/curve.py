@@ -1,21 +1,16 @@
-"""A probability against one variable, on a ladder of levels: its capacities, its lognormal fit, and its risk."""
+"""A probability against one variable, on a ladder of levels: its capacities and its risk."""
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import ndtr
 
 from activefail.space.shares import percent
 from activefail.space.space import Array
 
 _LEAST, _MOST = 0.1, 0.5
 """A curve that stays above the first or below the second has no median to fit."""
-
-_STARTS = (0.1, 0.3, 0.8)
-"""Dispersions from which the fit begins."""
 
 YEARS = 50.0
 """Years of the stated risk."""
@@ -123,23 +118,8 @@ class Curve:
         return Fall(size, self.ladder.level(coordinates[start]), self.ladder.level(coordinates[end]))
 
 
-class Lognormal(NamedTuple):
-    """A lognormal curve beside another curve."""
-
-    median: float
-    dispersion: float  # β, the standard deviation of the level's logarithm
-    largest_misfit: float  # largest difference to the curve at a level of the ladder
-    largest_misfit_at: float  # this level
-    rises: bool
-
-    def at(self, levels: Array | float) -> Array:
-        """Probabilities at levels."""
-        z = np.log(np.asarray(levels) / self.median) / self.dispersion
-        return np.asarray(ndtr(z if self.rises else -z))
-
-
 def why_not_fitted(curve: Curve) -> str:
-    """Why no lognormal curve is fitted; empty if one is."""
+    """Why no lognormal curve is fitted to the capacities of values with this curve; empty if one is."""
     if curve.ladder.levels[0] <= 0.0:
         return "some levels of the curve are not positive"
     if curve.probability.max() < _MOST or curve.probability.min() > _LEAST:
@@ -147,68 +127,37 @@ def why_not_fitted(curve: Curve) -> str:
     return ""
 
 
-def fit_lognormal(curve: Curve) -> Lognormal | None:
-    """The lognormal curve with the least integral of the squared difference over the logarithm of the level.
-
-    Returns:
-        None if `why_not_fitted` gives a reason.
-    """
-    if why_not_fitted(curve):
-        return None
-    logarithms, sign = np.log(curve.ladder.levels), 1.0 if curve.rises else -1.0
-    root_width = np.sqrt(np.gradient(logarithms))
-
-    def differences(numbers: Array) -> Array:
-        return np.asarray(ndtr(sign * (logarithms - numbers[0]) * math.exp(-numbers[1])) - curve.probability)
-
-    middle = curve.capacity(_MOST).level or float(curve.ladder.levels[np.argmax(curve.probability)])
-    fits = [
-        least_squares(lambda x: root_width * differences(x), [math.log(middle), math.log(start)]) for start in _STARTS
-    ]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    return beside(curve, math.exp(best.x[0]), math.exp(best.x[1]))
-
-
-def beside(curve: Curve, median: float, dispersion: float) -> Lognormal:
-    """A lognormal curve beside a curve."""
-    fit = Lognormal(median, dispersion, 0.0, 0.0, curve.rises)
-    missed = np.abs(fit.at(curve.ladder.levels) - curve.probability)
-    worst = int(np.argmax(missed))
-    at = float(curve.ladder.levels[worst])
-    return fit._replace(largest_misfit=float(missed[worst]), largest_misfit_at=at)
-
-
 @dataclass(frozen=True, eq=False)
 class Rate:
-    """How often pulses occur: those of at least the first velocity of a hazard's curve. Weaker ones are left out."""
+    """How often loads occur: those of at least the first level of a hazard's curve. Weaker ones are left out."""
 
-    velocities: Array  # (m,) of the curve, increasing [m/s]
+    levels: Array  # (m,) of the curve, increasing
     rates: Array  # (m,) at which they are exceeded, decreasing [1/year]
     years: float = YEARS  # of a risk
 
     @property
     def annual(self) -> float:
-        """Rate of pulses of at least `velocity` [1/year]."""
+        """Rate of loads of at least the level `least` [1/year]."""
         return float(self.rates[0])
 
     @property
-    def velocity(self) -> float:
-        """The least velocity of the curve [m/s]."""
-        return float(self.velocities[0])
+    def least(self) -> float:
+        """The least level of the curve."""
+        return float(self.levels[0])
 
     def exceeding(self, levels: Array) -> Array:
         """Annual rates at which levels, (n,), are exceeded: linear in logarithms, extrapolated by the end's slope."""
-        x, y, at = np.log(self.velocities), np.log(self.rates), np.log(levels)
+        x, y, at = np.log(self.levels), np.log(self.rates), np.log(levels)
         segment = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
         slope = np.diff(y) / np.diff(x)
         return np.asarray(np.exp(y[segment] + slope[segment] * (at - x[segment])))
 
     def risk(self, probability: float) -> float:
-        """The probability of at least one occurrence in these years, given its probability in one pulse."""
+        """The probability of at least one occurrence in these years, given its probability under one load."""
         return -math.expm1(-self.years * self.annual * probability)
 
     def given_pulse(self, risk: float) -> float:
-        """The probability in one pulse that gives this risk."""
+        """The probability under one load that gives this risk."""
         return -math.log1p(-risk) / (self.years * self.annual)
 
 
@@ -218,21 +167,21 @@ class Risk(NamedTuple):
     annual_rate: float  # λ [1/year]
     years: float  # t
     probability: float  # of at least one failure in these years, 1 − exp(−t λ)
-    least_pgv_m_s: float  # where the hazard's curve begins; weaker pulses are left out
-    at_least_pgv: float  # of the fragility curve at this velocity
+    least: float  # level where the hazard's curve begins; weaker loads are left out
+    at_least: float  # of the fragility curve at this level
     share_outside_hazard_curve: float  # of λ: from intensities where the end of the hazard's curve is extrapolated
     share_above_fragility_curve: float  # of λ: from intensities where the last value of the fragility curve holds
 
 
 def risk_of(curve: Curve, rate: Rate) -> Risk:
-    """The risk: λ = ∫ P(v) |dν(v)| over pulses of at least the first velocity, with the rate ν(v) of exceedance.
+    """The risk: λ = ∫ P(v) |dν(v)| over loads of at least the first level, with the rate ν(v) of exceedance.
 
     Args:
         curve: P(v), against the intensity of the hazard's curve.
-        rate: of the pulses.
+        rate: of the loads.
     """
-    low, high = math.log(rate.velocity), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.velocities[-1]))
-    corners = np.log(np.concatenate([rate.velocities, curve.ladder.levels]))
+    low, high = math.log(rate.least), max(float(np.log(curve.ladder.levels[-1])), math.log(rate.levels[-1]))
+    corners = np.log(np.concatenate([rate.levels, curve.ladder.levels]))
     corners = corners[(corners > low) & (corners < high)]
     logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
     levels = np.exp(logarithms)
@@ -242,9 +191,9 @@ def risk_of(curve: Curve, rate: Rate) -> Risk:
     average = (curve.at(levels[:-1]) + 4.0 * curve.at(middle) + curve.at(levels[1:])) / 6.0
     parts = average * (nu[:-1] - nu[1:])
     beyond = float(curve.probability[-1] * nu[-1])
-    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.velocity))
+    total, at_least = float(parts.sum()) + beyond, float(curve.at(rate.least))
     if total <= 0.0:
-        return Risk(0.0, rate.years, 0.0, rate.velocity, at_least, 0.0, 0.0)
-    inside = float(parts[middle <= rate.velocities[-1]].sum())
+        return Risk(0.0, rate.years, 0.0, rate.least, at_least, 0.0, 0.0)
+    inside = float(parts[middle <= rate.levels[-1]].sum())
     risk = rate.risk(total / rate.annual)
-    return Risk(total, rate.years, risk, rate.velocity, at_least, 1.0 - inside / total, beyond / total)
+    return Risk(total, rate.years, risk, rate.least, at_least, 1.0 - inside / total, beyond / total)

@@ -2,22 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from activefail.analyses.findings.lines import titled
 from activefail.analyses.fragility.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval
-from activefail.analyses.fragility.capacities import CONFIDENCE, Fragility
+from activefail.analyses.fragility.capacities import CONFIDENCE, Fragility, Lognormal
 from activefail.analyses.fragility.curve import (
     Capacity,
     Curve,
     Ladder,
-    Lognormal,
     Risk,
-    beside,
-    fit_lognormal,
     why_not_fitted,
 )
 from activefail.analyses.stripes.findings import StripeFindings
@@ -36,8 +32,11 @@ CAPACITIES = (0.025, 0.10, 0.50)
 NO_RATES = "the hazard has no curve of annual rates"
 """Why there is no risk, which the hazard's assumptions say too."""
 
-_NEAR = 0.05
-"""Largest difference of a lognormal curve that is shown beside the curve."""
+_UNEQUAL, _NOT_FINITE = "the values are not alike in probability, or too few fail", "one is of the capacities of values"
+"""Why there is no lognormal curve."""
+
+_OF_RISK = {"least": "least_pgv_m_s", "at_least": "at_least_pgv"}
+"""Keys of a risk in JSON that are not the attributes."""
 
 _GIVES = "gives intervals from fresh simulations"
 
@@ -54,7 +53,7 @@ class BoundaryFragility:
     Attributes:
         outcome: its name; the probability is of it or a more severe one.
         curve: with the added uncertainties, if there are any.
-        alone: the curve of the pulses alone; None without added uncertainty.
+        alone: the curve of the loads alone; None without added uncertainty.
         verified: levels with intervals.
         fit: the lognormal curve of the capacities of finitely many values, with intervals over their groups; None if
             the curve is of a distribution.
@@ -76,17 +75,12 @@ class BoundaryFragility:
         """The level at which the curve first exceeds a probability, with what was verified of it."""
         return self.curve.capacity(p), capacity_interval(self.curve, self.verified, p)
 
-    @cached_property
-    def lognormal(self) -> Lognormal | None:
-        """The lognormal curve beside the curve."""
-        if self.fit is not None:
-            return beside(self.curve, self.fit.fit.median, self.fit.fit.dispersion)
-        return fit_lognormal(self.curve)
-
-    @property
-    def is_lognormal(self) -> bool:
-        """Whether the lognormal curve is so near that it describes the curve."""
-        return self.lognormal is not None and (self.fit is not None or self.lognormal.largest_misfit <= _NEAR)
+    def misfit(self, fit: Lognormal) -> tuple[float, float]:
+        """Largest difference of a lognormal curve to the curve at a level of the ladder, and this level."""
+        levels = self.curve.ladder.levels
+        missed = np.abs(fit.at(levels) - self.curve.probability)
+        worst = int(np.argmax(missed))
+        return float(missed[worst]), float(levels[worst])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +100,7 @@ class FragilityFindings:
         notes: what was assumed, as sentences.
         outcomes: of the simulator, the least severe first.
         terms: the design in the designer's terms; None if the simulator has none, or a value is uncertain.
+        loads: what the hazard's loads are, such as "pulses".
         median: the hazard's median of the intensity; None without a hazard.
         outside_hazard: share of the whole hazard outside the design space; None without a hazard.
         why_no_risk: empty if there is a risk.
@@ -124,6 +119,7 @@ class FragilityFindings:
     outcomes: tuple[str, ...]
     terms: Terms | None = None
     median: float | None = None
+    loads: str = "loads"
     outside_hazard: float | None = None
     why_no_risk: str = "a risk requires a hazard with annual rates"
 
@@ -133,7 +129,7 @@ class FragilityFindings:
         """Write the curves: a row for each level of the ladder and for each verified level.
 
         Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
-        curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its
+        curve `p_<outcome>`, that without added uncertainty, the lognormal one, and the verified probability with its
         interval. Cells are empty where there is no number.
         """
         levels = [(level, "ladder", outside) for level, outside in zip(self.ladder.levels, self.outside, strict=True)]
@@ -150,7 +146,7 @@ class FragilityFindings:
             estimate = next((it.estimate for it in one.verified if kind == "verified" and it.level == level), None)
             row[name] = float(one.curve.at(level))
             row[f"{name}_pulses_alone"] = "" if one.alone is None else float(one.alone.at(level))
-            row[f"{name}_lognormal"] = "" if one.lognormal is None else float(one.lognormal.at(level))
+            row[f"{name}_lognormal"] = "" if one.fit is None else float(one.fit.fit.at(level))
             row[f"{name}_verified"] = estimate.probability if estimate else ""
             row[f"{name}_low"] = estimate.low if estimate else ""
             row[f"{name}_high"] = estimate.high if estimate else ""
@@ -166,8 +162,6 @@ class FragilityFindings:
             text.append(f"{or_worse(one.outcome, self.outcomes)}:")
             for title, line in of_boundary(self, one):
                 text.append(f"  {title:>6}    {line}" if title.endswith("%") else f"  {title:<9} {line}")
-        if why := why_no_risk(self):
-            text.append(f"risk       none: {why}")
         text.append(
             f"intervals  shown where {'' if self.by_stripes else 'fresh '}simulations give one; every other number is "
             "the classifier's, without an interval"
@@ -234,9 +228,8 @@ class FragilityFindings:
         )
 
     def _numbers(self, one: BoundaryFragility) -> dict[str, Any]:
-        fall, fit, risk, alone, ratio = one.curve.fall, one.lognormal, one.risk, one.alone, self.margin_ratio(one)
+        fall, risk, alone, ratio = one.curve.fall, one.risk, one.alone, self.margin_ratio(one)
         of_curve = "only the verified levels have intervals" if one.verified else NOT_VERIFIED
-        of_fit = "it describes the curve, which is the result"
         capacities = ((p, *one.capacity(p)) for p in CAPACITIES)
         return {
             "curve": _without_interval(of_curve, probability=one.curve.probability),
@@ -245,10 +238,8 @@ class FragilityFindings:
             **named(one.curve, "resolution", "rises"),
             "falls": fall and {"by": fall.size, "from": fall.start, "to": fall.end},
             "capacities": [{"probability": p, **at._asdict(), **band._asdict()} for p, at, band in capacities],
-            "lognormal": fit
-            and _without_interval(of_fit, **named(fit, "median", "dispersion", "largest_misfit", "largest_misfit_at"))
-            | _of_capacities(one.fit),
-            "lognormal_reason": why_not_fitted(one.curve) or None,
+            "lognormal": one.fit and _of_capacities(one, one.fit),
+            "lognormal_reason": None if one.fit else self._why_not_fitted(one),
             "verified": [
                 {
                     "level": level,
@@ -260,10 +251,14 @@ class FragilityFindings:
             ],
             "at_hazard_median": one.at_median and _without_interval(probability=one.at_median),
             "margin_ratio": ratio and {"value": ratio, **self._interval_of_ratio(one)},
-            "risk": risk and _without_interval(**risk._asdict()),
+            "risk": risk
+            and _without_interval(**{_OF_RISK.get(key, key): value for key, value in risk._asdict().items()}),
             "risk_reason": self.why_no_risk or None,
             "deaggregation": one.deaggregation and one.deaggregation.numbers,
         }
+
+    def _why_not_fitted(self, one: BoundaryFragility) -> str:
+        return (why_not_fitted(one.curve) or _UNEQUAL) if self.by_stripes else _NOT_FINITE
 
     def _interval_of_ratio(self, one: BoundaryFragility) -> dict[str, Any]:
         _, interval = one.capacity(0.5)
@@ -276,12 +271,13 @@ class FragilityFindings:
         return None if level is None or self.median is None else level / self.median
 
 
-def _of_capacities(fit: Fragility | None) -> dict[str, Any]:
-    """The intervals of a lognormal curve of capacities."""
-    if fit is None:
-        return {}
+def _of_capacities(one: BoundaryFragility, fit: Fragility) -> dict[str, Any]:
+    """The lognormal curve of capacities, with its intervals."""
+    misfit, at = one.misfit(fit.fit)
     ends = {"median_interval": list(fit.median) or None, "dispersion_interval": list(fit.dispersion) or None}
-    return {**ends, "confidence": CONFIDENCE, "interval_reason": "those of median and dispersion are over groups"}
+    of_fit = {**named(fit.fit, "median", "dispersion"), "largest_misfit": misfit, "largest_misfit_at": at, **ends}
+    reason = "those of median and dispersion are over groups"
+    return _without_interval(reason, **of_fit) | {"confidence": CONFIDENCE}
 
 
 def _without_interval(reason: str = WITHOUT_INTERVAL, **numbers: Any) -> dict[str, Any]:
@@ -292,11 +288,6 @@ def heading(findings: FragilityFindings) -> str:
     """What the curves are of."""
     variable = f"{findings.ladder.name} [{findings.ladder.unit}]" if findings.ladder.unit else findings.ladder.name
     return f"fragility against {variable}, under {findings.title}"
-
-
-def why_no_risk(findings: FragilityFindings) -> str:
-    """Why there is no risk; empty if there is one, or if an assumption of the hazard says it."""
-    return "" if findings.median is None or findings.why_no_risk == NO_RATES else findings.why_no_risk
 
 
 def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
@@ -320,17 +311,17 @@ def unit_of(findings: FragilityFindings) -> str:
 
 def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
     """Those of `of_boundary` after the capacities and the verified levels."""
-    unit, fit, rows = unit_of(findings), one.lognormal, list[tuple[str, str]]()
-    if fit is None:
-        rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
-    else:
-        median, dispersion = ("", "") if one.fit is None else map(_over_groups, (one.fit.median, one.fit.dispersion))
+    unit, rows = unit_of(findings), list[tuple[str, str]]()
+    if one.fit is not None:
+        fit, (misfit, at) = one.fit.fit, one.misfit(one.fit.fit)
         text = (
-            f"median {fit.median:.3g}{unit}{median}, dispersion {fit.dispersion:.3g}{dispersion}; it differs from the "
-            f"curve by up to {100.0 * fit.largest_misfit:.2g} points, at {fit.largest_misfit_at:.3g}{unit}"
-            f"{'' if one.fit is None else '; its intervals leave out wrong predictions'}"
+            f"median {fit.median:.3g}{unit}{_over_groups(one.fit.median)}, dispersion {fit.dispersion:.3g}"
+            f"{_over_groups(one.fit.dispersion)}; it differs from the curve by up to {100.0 * misfit:.2g} points, at "
+            f"{at:.3g}{unit}; its intervals leave out wrong predictions"
         )
         rows.append(("lognormal", text))
+    elif findings.by_stripes:
+        rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve) or _UNEQUAL}"))
     if one.alone is not None:
         levels = [one.alone.capacity(p).level for p in CAPACITIES]
         shown = ", ".join("none" if level is None else f"{level:.3g}" for level in levels)
@@ -352,9 +343,9 @@ def beside_capacities(findings: FragilityFindings, one: BoundaryFragility) -> li
     if one.risk is not None:
         text = (
             f"{percent(one.risk.probability, 2)} in {one.risk.years:g} years ({one.risk.annual_rate:.2g} a year); "
-            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from velocities above the hazard curve, "
-            f"where it is extrapolated. Pulses below {one.risk.least_pgv_m_s:g} m/s, where it begins, are left out; "
-            f"the probability at this velocity is {percent(one.risk.at_least_pgv)}"
+            f"{percent(one.risk.share_outside_hazard_curve)} of the rate comes from above the hazard curve, where "
+            f"it is extrapolated. {findings.loads.capitalize()} below {one.risk.least:g}{unit}, where it begins, are "
+            f"left out; the probability there is {percent(one.risk.at_least)}"
         )
         rows.append(("risk", text))
     if one.deaggregation is not None:

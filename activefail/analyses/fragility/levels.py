@@ -31,7 +31,6 @@ _BOUNDS = "bounds (--range)"
 
 def ladder_of(
     asked: Inquiry,
-    intensity: str = "pgv",
     against: str | None = None,
     bounds: tuple[float, float] | None = None,
 ) -> Ladder:
@@ -39,17 +38,14 @@ def ladder_of(
 
     Args:
         asked: what is asked.
-        intensity: with a hazard, which knows it.
         against: the variable, without one; its ladder has 40 steps.
         bounds: of the variable's levels; those of the campaign if None.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
     """
     if asked.hazard is not None:
         if against is not None:
             raise InputError("against: cannot be combined with hazard.")
-        return Ladder(*asked.hazard.levels(intensity), is_log=True)
+        hazard = asked.hazard
+        return Ladder(hazard.intensity, hazard.unit, hazard.levels(), is_log=True)
     if against is None:
         raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
     question, space = asked.question, asked.campaign.space

@@ -189,8 +189,7 @@ def _of_question(question: Question, outcome: str) -> Varied:
     space = question.space
     if isinstance(space, WeightedRows):
         raise InputError(
-            "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
-            "pulses."
+            "question: must have independent variables, got rows of a table. Use `--hazard`, which averages over them."
         )
     if space.constraints:
         raise InputError(
@@ -218,7 +217,9 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
     assert hazard is not None
     design = tuple(one for one in campaign.space.parameters if one.name not in hazard.variables)
     if not design:
-        raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
+        raise InputError(
+            f"hazard: all variables of the campaign belong to the {hazard.loads}, so no design can be varied."
+        )
     base = {
         one.name: float(np.argmax(one.probabilities) if one.choices else one.quantile(0.5)) for one in design
     } | asked.fixed
@@ -238,8 +239,8 @@ def _under_hazard(asked: Inquiry, outcome: str) -> Varied:
 
     of_indices = (
         f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
-        f"averaged over {len(X)} fixed pulses. The variables of the design are independent and have the campaign's "
-        "distributions."
+        f"averaged over {len(X)} fixed {hazard.loads}. The variables of the design are independent and have the "
+        "campaign's distributions."
         if free
         else "All variables of the design have values, so there are no Sobol' indices."
     )

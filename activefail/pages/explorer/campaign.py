@@ -104,12 +104,12 @@ class OneDesign:
         return page(
             "campaign",
             title=self.title,
-            simulations=len(self.findings.X),
+            simulations=len(self.findings.history.designs),
             fields=[field._replace(start=start) for field, start in zip(self.fields, presets[0][1], strict=True)],
             starts=[(text, json.dumps(self._named(X))) for text, X in presets],
             axes=[field for field in self.fields if not field.choices],
             plane=ranking[:2],
-            along="A_p" if "A_p" in names else ranking[0] if ranking else "",
+            along=ranking[0] if ranking else "",
             outcomes=self.outcomes,
             beyond=self.findings.beyond,
             simulates=self.simulates,
@@ -126,18 +126,17 @@ class OneDesign:
     @cached_property
     def presets(self) -> list[tuple[str, list[float]]]:
         """Designs to start from: what each is, and its values."""
-        findings = self.findings
-        found = [self._undecided]
-        for row, _ in at_the_boundary(findings):
-            text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {findings.ids[row]}"
-            found.append((text, findings.X[row].tolist()))
+        history, found = self.findings.history, [self._undecided]
+        for row, _ in at_the_boundary(self.findings):
+            text = f"{words(self.outcomes[history.outcome[row]])}, near a boundary: simulation {history.id[row]}"
+            found.append((text, history.designs[row].tolist()))
         return [*found, ("the middle of the space", middle_of(self.space))]
 
     @property
     def _undecided(self) -> tuple[str, list[float]]:
         """The design at which the page starts: nearest to the middle, of those whose outcome is most open."""
         findings = self.findings
-        X = np.concatenate([findings.pool, findings.X[findings.answered]])
+        X = np.concatenate([findings.pool, findings.history.training.designs])
         apart = np.abs(predict(self.campaign, findings.classifier, X).beyond - 0.5)
         least = float(np.nanmin(apart))
         X = X[apart <= max(_OPEN, least)]
@@ -148,11 +147,7 @@ class OneDesign:
         return "a design at the boundary" if least <= _OPEN else "the least certain design", start.tolist()
 
     def point(self, values: Values) -> Array:
-        """The design in a form, (d,).
-
-        Raises:
-            InputError: naming the variable, the rule and the value.
-        """
+        """The design in a form, (d,)."""
         read = zip(self.space.parameters, self.fields, strict=True)
         return np.array([float(one.rounded(field.read(values))) for one, field in read])
 

@@ -45,11 +45,7 @@ class Field(NamedTuple):
         )
 
     def read(self, values: Values) -> float:
-        """Its number in a form.
-
-        Raises:
-            InputError: naming it, the rule and the value.
-        """
+        """Its number in a form."""
         value = values.get(self.name)
         try:
             number = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
@@ -61,11 +57,7 @@ class Field(NamedTuple):
 
 
 def chosen(values: Values, name: str, choices: Sequence[str]) -> str:
-    """One of some texts in a form.
-
-    Raises:
-        InputError: naming it, the rule and the value.
-    """
+    """One of some texts in a form."""
     value = values.get(name)
     if value not in choices:
         raise InputError(f"{name}: must be one of {', '.join(choices)}, got {value!r}.")

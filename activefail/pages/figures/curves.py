@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from activefail.analyses.comparison.equivalent import equivalent
-from activefail.analyses.comparison.seeds import STATIC, Point
 from activefail.analyses.comparison.static import by_size
 from activefail.analyses.findings.results import Prediction
 from activefail.estimates.scores import Score
@@ -18,8 +17,6 @@ from activefail.pages.figures.style import (
     BLACK,
     BLUE,
     GREY,
-    LINE_COLOURS,
-    LINE_MARKERS,
     VERMILION,
     fitting_size,
     styled,
@@ -89,34 +86,6 @@ def _accuracy_of(group: Sequence[Score]) -> tuple[float, float, float]:
         return group[0].accuracy, group[0].low, group[0].high
     values = [score.accuracy for score in group]
     return float(np.median(values)), min(values), max(values)
-
-
-@styled()
-def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str, title: str) -> Figure:
-    """A measure against simulations over seeds, one line for each pair of features and sampling.
-
-    Args:
-        curves: from `activefail.analyses.comparison.seeds.curves`; campaigns are solid lines, static designs dashed.
-        label: of the measure, with its unit.
-        title: describes lines and bands.
-    """
-    figure, axes = panel(7.6, 5.0)
-    features, samplings = (list(dict.fromkeys(key[part] for key in curves)) for part in (0, 1))
-    for (feature, sampling), points in curves.items():
-        colour = LINE_COLOURS[features.index(feature) % len(LINE_COLOURS)]
-        marker = LINE_MARKERS[samplings.index(sampling) % len(LINE_MARKERS)]
-        n = np.array([point.simulations for point in points])
-        values = np.array([point.values for point in points])
-        axes.fill_between(n, values.min(axis=1), values.max(axis=1), color=colour, alpha=0.12, linewidth=0.0)
-        line = "--" if sampling == STATIC else "-"
-        name = f"{'static Latin hypercube' if sampling == STATIC else sampling}, {feature} features"
-        axes.plot(n, np.median(values, axis=1), color=colour, marker=marker, linestyle=line, label=name)
-    static = {point.simulations for key, points in curves.items() if key[1] == STATIC for point in points}
-    log_sizes(axes, static | {points[index].simulations for points in curves.values() for index in (0, -1)})
-    axes.set(xlabel="simulations trained on", ylabel=label)
-    axes.set_title(title, fontsize=9)
-    axes.legend(loc="best")
-    return figure
 
 
 @styled()

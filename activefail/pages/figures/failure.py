@@ -108,7 +108,7 @@ def plot_failure_domain(
         width: of the figure [in].
     """
     space, outcomes, beyond = findings.campaign.space, findings.campaign.simulator.outcomes, plain(findings.beyond)
-    X, outcome = findings.X[findings.answered], findings.outcome[findings.answered]
+    known = findings.history.training
     i, j = plane_of(point, space)
     half = max(_LEAST, float(np.abs(_marginal(point.X, space)[[i, j]]).max()) + 1.0)
     line = np.linspace(-half, half, _GRID)
@@ -127,7 +127,7 @@ def plot_failure_domain(
     if certainty.min() < 0.0 < certainty.max():
         axes.contour(x, y, certainty, levels=[0.0], colors=BLACK, linewidths=1.6)
     axes.contour(x, y, distance, levels=np.arange(1.0, half), colors=GREY, linestyles=":", linewidths=1.1)
-    scatter_outcomes(axes, X[:, i], X[:, j], outcome, outcomes, 26.0)
+    scatter_outcomes(axes, known.designs[:, i], known.designs[:, j], known.outcome, outcomes, 26.0)
     axes.plot(point.X[i], point.X[j], marker="*", markersize=14, color=BLACK, markeredgecolor="white", zorder=4)
     axes.set(xlim=(along[0, i], along[-1, i]), ylim=(along[0, j], along[-1, j]))
     axes.set(xlabel=quantities[i].axis, ylabel=quantities[j].axis)

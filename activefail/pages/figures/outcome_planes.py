@@ -124,7 +124,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     shown = [*of_choices, *planes]
     return Coordinates(
         variables(campaign),
-        findings.X,
+        findings.history.designs,
         middle,
         at,
         shown,
@@ -191,8 +191,8 @@ def marks_in(findings: Findings, design: Array, plane: list[int]) -> list[Marks]
 
     The others are pale: they have another choice, or differ much in the other variables.
     """
-    rows, space = findings.answered, findings.campaign.space
-    X, outcome = findings.X[rows], findings.outcome[rows]
+    known, space = findings.history.training, findings.campaign.space
+    X, outcome = known.designs, known.outcome
     is_choice = np.array([bool(one.choices) for one in space.parameters])
     numbers = np.setdiff1d(np.flatnonzero(~is_choice), plane)
     apart = (space.to_unit(X) - space.to_unit(design[None]))[:, numbers]
@@ -249,7 +249,7 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> lis
 def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) -> Figure:
     campaign = findings.campaign
     outcomes = campaign.simulator.outcomes
-    F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
+    F, outcome = c.F[findings.history.answered], findings.history.training.outcome
     share = 0.9 if c.are_features else 1.0
     x_limits, y_limits = (axis_limits(F[:, column], share) for column in (plane.x, plane.y))
     shown = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])

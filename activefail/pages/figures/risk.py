@@ -34,7 +34,7 @@ SIZE = 4.8, 4.4
 def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Quantity]) -> dict[str, Figure]:
     """The curves of all boundaries and, under a hazard, the pulses that cause the most severe outcome, by file name.
 
-    The curve is the result. A lognormal curve that describes it is dotted.
+    The curve is the result. The lognormal curve of the capacities of finitely many values is dotted.
 
     Args:
         findings: the curves.
@@ -53,7 +53,7 @@ def plot_fragility_findings(findings: FragilityFindings, shown: Mapping[str, Qua
 def _draw_curves(axes: Axes, findings: FragilityFindings, shown: Mapping[str, Quantity]) -> None:
     outcomes = ("", *(one.outcome for one in findings.boundaries))
     for index, one in enumerate(findings.boundaries, start=1):
-        _draw_boundary(axes, one, outcome_colour(outcomes, index), outcome_marker(outcomes, index))
+        _draw_boundary(axes, one, findings.loads, outcome_colour(outcomes, index), outcome_marker(outcomes, index))
     if findings.median is not None:
         axes.axvline(findings.median, color=BLACK, linewidth=0.9, linestyle="-.", label="median of the hazard")
     if findings.ladder.is_log:
@@ -65,14 +65,16 @@ def _draw_curves(axes: Axes, findings: FragilityFindings, shown: Mapping[str, Qu
     axes.set_title(plain(findings.title))
 
 
-def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str) -> None:
+def _draw_boundary(axes: Axes, one: BoundaryFragility, loads: str, colour: str, marker: str) -> None:
     levels, name = one.curve.ladder.levels, plain(words(one.outcome))
     axes.plot(levels, one.curve.probability, color=colour, linewidth=1.8, label=name)
     if one.alone is not None:
         alone = one.alone.ladder.levels, one.alone.probability
-        axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone")
-    if (fit := one.lognormal) is not None and one.is_lognormal:
-        axes.plot(levels, fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal")
+        axes.plot(*alone, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, {loads} alone")
+    if one.fit is not None:
+        axes.plot(
+            levels, one.fit.fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal"
+        )
     if one.verified:
         estimates = [level.estimate for level in one.verified]
         middle, low, high = np.array([(it.probability, it.low, it.high) for it in estimates]).T

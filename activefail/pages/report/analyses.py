@@ -8,7 +8,7 @@ from activefail.analyses.design.findings import DesignFindings
 from activefail.analyses.findings.quantities import by_name, of_simulator
 from activefail.analyses.fragility.capacities import CONFIDENCE
 from activefail.analyses.fragility.capacities import Fragility as LognormalFit
-from activefail.analyses.fragility.exports import OPENQUAKE, PELICUN, files_of
+from activefail.analyses.fragility.exports import files_of
 from activefail.analyses.fragility.findings import (
     CAPACITIES,
     BoundaryFragility,
@@ -17,7 +17,6 @@ from activefail.analyses.fragility.findings import (
     ends_in_words,
     heading,
     unit_of,
-    why_no_risk,
 )
 from activefail.analyses.sensitivity.findings import SensitivityFindings
 from activefail.campaign.assembly import Campaign
@@ -32,6 +31,7 @@ from activefail.pages.figures.risk import (
 from activefail.pages.figures.style import save_png_and_svg
 from activefail.pages.figures.svg import inlined
 from activefail.pages.report.environment import markdown_environment, page_environment
+from activefail.plugins import brought
 from activefail.space.shares import bounds_percent, percent, significant
 from activefail.text.files import make_folder, replacing, target_of
 from activefail.text.json_text import json_text
@@ -72,7 +72,7 @@ def write_fragility(findings: FragilityFindings, folder: Path, campaign: Campaig
     variables = {} if campaign is None else by_name(campaign)
     figures = plot_fragility_findings(findings, variables)
     shown, files = curves_shown(findings, figures, variables), files_of(findings)
-    programs = [name for name in (PELICUN, OPENQUAKE) if name in files]
+    programs = [name for name in brought("curves") if name in files]
     page = _page("fragility.html.j2", title=shown["heading"], curves=shown, programs=programs, refused=findings.refused)
     return write_folder(folder, {"fragility.html": page} | files, figures)
 
@@ -138,12 +138,12 @@ def curves_shown(
         "verified": [(or_worse(one.outcome, findings.outcomes), one.verified) for one in verified],
         "beside": [(name, beside_capacities(findings, one)) for name, one in zip(names, boundaries, strict=True)],
         "in_unit": f" [{findings.ladder.unit}]" if findings.ladder.unit else "",
+        "loads": findings.loads,
         "has_alone": any(one.alone is not None for one in findings.boundaries),
-        "has_lognormal": any(one.is_lognormal for one in findings.boundaries),
+        "has_lognormal": any(one.fit is not None for one in findings.boundaries),
         "has_pulses": len(figures) > 1,
         "has_verification": findings.has_verification,
         "fresh": "" if findings.by_stripes else "fresh ",
-        "no_risk": why_no_risk(findings),
         "notes": findings.assumptions,
     }
 

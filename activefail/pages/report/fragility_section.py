@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from activefail.analyses.design.design_task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
+from activefail.analyses.design.design_task import RISK_CATEGORIES, Requirement, default_free, design_task, read_targets
 from activefail.analyses.design.required_chart import RequiredChart, chart_of
 from activefail.analyses.design.stored import StoredDesign, stored_designs
 from activefail.analyses.findings.quantities import by_name
@@ -75,14 +75,11 @@ def risk_options(
         target: a probability or a risk category; None for all risk categories.
         outcomes: of the campaign.
         boundary: outcome of a target without a name.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
     """
     text = next(iter(RISK_CATEGORIES)) if target is None else str(target)
     requirements = read_targets(text, outcomes, boundary)
     if len(requirements) > 1 or requirements[0].years is not None:
-        raise InputError(f"target: must be one target, a probability given a pulse of the hazard, got {text!r}.")
+        raise InputError(f"target: must be one target, a probability under loads of the hazard, got {text!r}.")
     files = {"--hazard": (hazard, "HAZARD.toml")} | ({} if fixed is None else {"--fixed": (fixed, "DESIGN.toml")})
     names = {option: quoted(one) if isinstance(one, Path | str) else name for option, (one, name) in files.items()}
     site = " ".join(f"{option} {name}" for option, name in names.items())
@@ -106,13 +103,14 @@ def risk_findings(
     campaign, requirement = estimator.campaign, request.requirement
     curves = fragility(estimator, asked, ladder_of(asked), requirement.outcome, None, _CONFIDENCE, stage)
     chart, why, designs = None, "", []
-    if DEFAULT_FREE not in campaign.space.names:
-        why = f"the campaign has no variable {DEFAULT_FREE}, whose required value a chart could show."
+    free = default_free(campaign.space)
+    if not free:
+        why = "the campaign has no variable whose required value a chart could show."
     elif (chart := chart_of(estimator, design_task(asked, (requirement,)), {}, stage)) is None:
-        why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
+        why = f"a chart requires values of two variables besides {free[0]}; --fixed gives them."
     else:
         requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
-        designs = stored_designs(estimator, asked.question, DEFAULT_FREE, requirements)
+        designs = stored_designs(estimator, asked.question, free[0], requirements)
     return RiskFindings(request, by_name(campaign), curves, chart, why, designs)
 
 
@@ -127,6 +125,6 @@ def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
     return {
         "found": findings,
         "curves": curves_shown(findings.fragility, plot_fragility_findings(findings.fragility, shown), shown),
-        "required": DEFAULT_FREE,
+        "required": "" if chart is None else chart.name,
         "chart": drawn,
     }

@@ -21,7 +21,6 @@ from activefail.campaign.provenance import provenance
 from activefail.estimates.scores import error_in_words
 from activefail.learning.model.margin_data import KERNEL as MARGIN_KERNEL
 from activefail.learning.model.system import ByMargins
-from activefail.loop.history import History
 from activefail.loop.stop_rule import noted
 from activefail.pages.figures.classifier import LONG, length_scales, plot_length_scales, plot_reliability
 from activefail.pages.figures.curves import plot_learning_curves
@@ -70,19 +69,15 @@ def spread(parameter: Parameter) -> str:
     return f"{name}, {significant(parameter.mean)} ± {significant(parameter.sd)}{within}"
 
 
-def _counts(findings: Findings) -> dict[str, Any]:
+def _counts(summary: Summary) -> dict[str, Any]:
     """Simulations by outcome, numerical failures last, (outcomes + 1,), by the group's title."""
-    outcomes = findings.campaign.simulator.outcomes
-    groups = {"initial design": findings.initial, "active designs": findings.chosen}
-    if findings.given.any():
-        groups["given"] = findings.given
-    groups["all"] = np.ones(len(findings.X), dtype=bool)
-    code = np.where(findings.answered, findings.outcome, len(outcomes))
-    counts = {title: np.bincount(code[rows], minlength=len(outcomes) + 1) for title, rows in groups.items()}
-    asked = (counts["initial design"] + counts["active designs"]).tolist()
-    texts = outcomes_in_words(asked, map(words, outcomes))[: None if asked[-1] else -1]
-    figure = plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes)
-    return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": counts, "asked": ", ".join(texts)}
+    groups = {"initial design": summary.initial, "active designs": summary.chosen}
+    groups |= {"given": summary.given} if summary.given.any() else {}
+    groups["all"] = summary.counts
+    asked = (summary.initial + summary.chosen).tolist()
+    texts = outcomes_in_words(asked, map(words, summary.outcomes))[: None if asked[-1] else -1]
+    figure = plot_counts({title: values[:-1] for title, values in groups.items()}, summary.outcomes)
+    return {"picture": inline(figure, "counts", "Shares of the outcomes"), "groups": groups, "asked": ", ".join(texts)}
 
 
 def _curve(findings: Findings, curve: Curve | None) -> dict[str, Any]:
@@ -110,22 +105,22 @@ def _pairs(findings: Findings, scales: NDArray[np.float64] | None) -> dict[str, 
     features, names = campaign.features, quantities.features(campaign)
     first = range(len(names)) if scales is None else np.argsort(scales[campaign.severity - 1], kind="stable")
     shown = sorted(int(column) for column in first[:MOST_PAIRED])
-    rows = findings.answered & ~findings.given
-    if not rows.any():
-        rows = findings.answered
+    history = findings.history
+    rows = history.answered & ~history.given
+    drawn = history[rows if rows.any() else history.answered]
     figure = plot_pairs(
-        features.raw(findings.X[rows])[:, shown],
-        findings.outcome[rows],
-        findings.chosen[rows],
+        features.raw(drawn.designs)[:, shown],
+        drawn.outcome,
+        drawn.chosen,
         [names[column] for column in shown],
         [bool(features.logarithmic[column]) for column in shown],
         campaign.simulator.outcomes,
     )
     return {
         "picture": inline(figure, "pairs", "Designs in pairs of features"),
-        "chosen": findings.chosen.any(),
+        "chosen": history.chosen.any(),
         "most_shown": MOST_SHOWN,
-        "thinned": max(findings.chosen.sum(), findings.initial.sum()) > MOST_SHOWN,
+        "thinned": max(history.chosen.sum(), history.initial.sum()) > MOST_SHOWN,
         "features_shown": len(shown),
         "features": len(names),
     }
@@ -192,22 +187,22 @@ def _uncertain(findings: Findings) -> list[tuple[Any, ...]]:
 
 
 def _gallery(findings: Findings) -> list[dict[str, Any]]:
-    view, shown = view_of(findings.campaign.simulator), list[dict[str, Any]]()
+    view, shown, history = view_of(findings.campaign.simulator), list[dict[str, Any]](), findings.history
     if view is None:
         return shown
     for number, (row, why) in enumerate(at_the_boundary(findings), start=1):
-        X = findings.X[row]
-        picture = view.picture(X, f"bearing{number}", f"simulation {findings.ids[row]}")
+        X = history.designs[row]
+        picture = view.picture(X, f"bearing{number}", f"simulation {history.id[row]}")
         if picture is None:
             continue
-        entered = "given" if findings.given[row] else f"iteration {findings.iteration[row]}"
+        entered = "given" if history.given[row] else f"iteration {history.iteration[row]}"
         shown.append(
             {
                 "picture": picture.drawn,
                 "legend": view.legend,
                 "why": why,
-                "simulation": int(findings.ids[row]),
-                "entered": "initial design" if findings.initial[row] else entered,
+                "simulation": int(history.id[row]),
+                "entered": "initial design" if history.initial[row] else entered,
                 "result": picture.result,
                 "terms": picture.terms,
                 "probabilities": findings.classifier.probabilities(X[None])[0].tolist(),
@@ -230,8 +225,9 @@ def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
 
 def _learner(findings: Findings) -> dict[str, Any]:
     """Numbers of active designs and batches, and what each boundary is learned from."""
-    _, sizes = np.unique(findings.iteration[findings.origin == ACTIVE], return_counts=True)
-    checks = findings.iteration[findings.origin == CHECK]
+    history = findings.history
+    _, sizes = np.unique(history.iteration[history.origin == ACTIVE], return_counts=True)
+    checks = history.iteration[history.origin == CHECK]
     return {
         "chosen": sizes.sum(),
         "batches": len(sizes),
@@ -306,7 +302,8 @@ def render(
     """
     campaign, folder = findings.campaign, quoted(findings.folder)
     text = (findings.folder / SETTINGS).read_text(encoding="utf-8")
-    settings, history = campaign.settings, History.of(store.batches)
+    settings, history = campaign.settings, findings.history
+    summary = Summary.of(settings, campaign.schema, history, store.asked)
     done, scales = history.asked_for, length_scales(findings.classifier)
     left = 0 if noted(store) else max(0, settings.sampling.budget - done)
     continues = continue_command(findings.folder, campaign)
@@ -327,8 +324,8 @@ def render(
         "variables": list(zip(quantities.variables(campaign), campaign.space.parameters, strict=True)),
         "constraints": [one.text for one in campaign.space.constraints],
         "fixed": list(zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)),
-        "counts": _counts(findings),
-        "lost": where_lost(campaign.space.names, findings.X, ~findings.answered, settings.without_order),
+        "counts": _counts(summary),
+        "lost": where_lost(campaign.space.names, history.designs, ~history.answered, settings.without_order),
         "failure": failure_section(findings, failure),
         "risk": fragility_section(risk),
         "has_pulse": has_hazards(campaign.space),
@@ -340,7 +337,7 @@ def render(
         "scales": None if scales is None else _scales(findings, scales),
         "uncertain": _uncertain(findings),
         "done": done,
-        "unseen": Summary.of(settings, campaign.schema, history, store.asked).unseen_warning,
+        "unseen": summary.unseen_warning,
         "left": left,
         "folder": folder,
         "continues": continues,

@@ -196,7 +196,7 @@ class DesignPage:
         return _page(
             "design",
             title=self._one.title,
-            simulations=len(self._findings.X),
+            simulations=len(self._findings.history.designs),
             beyond=self._findings.beyond,
             capacity=self._quantity.text,
             periods=PERIODS,
@@ -327,7 +327,7 @@ class DesignPage:
             return nullcontext(lambda _: job.simulated)
 
         with CountingExecutor(local_executor(campaign.simulator), counting) as executor:
-            store, last = MemoryStore(campaign.schema), int(findings.iteration[-1])
+            store, last = MemoryStore(campaign.schema), int(findings.history.iteration[-1])
             estimator = _Watched(campaign, store, executor, findings.classifier, last, job)
             designed = find_design(estimator, task, job.stage)
         of_design = DesignFindings(designed, designed.question.outside(self.space))

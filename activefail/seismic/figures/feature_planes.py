@@ -66,7 +66,7 @@ def coordinates(findings: Findings) -> Coordinates | None:
     if set(space.names) != set(TABLE_1.names) or not np.all(space.low > 0.0):
         return None
     columns = [space.names.index(name) for name in TABLE_1.names]
-    F = paper_features(findings.X[:, columns])
+    F = paper_features(findings.history.designs[:, columns])
 
     def at(rows: Array) -> Prediction:
         table, exists = designs_with(rows, space.low[columns], space.high[columns])

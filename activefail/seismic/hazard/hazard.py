@@ -1,7 +1,7 @@
 """The hazard of a site: the distribution of the pulses that a bearing must survive, from a file."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.derived import check_no_choices
-from activefail.campaign.hazard import At, Bound
+from activefail.campaign.hazard import Bound
 from activefail.campaign.question import Question, asked_of, check_names
 from activefail.campaign.settings import checked
 from activefail.errors import InputError, naming
-from activefail.seismic.bearing.pulse import VELOCITY_PERIOD, amplitude_of
-from activefail.seismic.hazard.intensities import levels_of, with_amplitude
+from activefail.seismic.bearing.pulse import VELOCITY_PERIOD
 from activefail.seismic.hazard.pulse_table import read_pulses, velocities
 from activefail.seismic.hazard.sections import HazardSettings, MagnitudeSection
 from activefail.seismic.hazard.strata import deviates
@@ -32,6 +31,12 @@ FRICTION, CAPACITY = "mu", "D_tot"
 """Variables of a bearing that have property bounds."""
 
 _BOUNDS: tuple[Bound, ...] = ("lower", "upper")
+
+_RANGE = 0.1, 4.0
+"""Peak ground velocities that the levels include at least [m/s]."""
+
+_PER_DECADE = 24
+"""Levels in a factor of ten."""
 
 _PULSES = 2048
 """Least number of pulses that stand for rows with added uncertainty."""
@@ -65,7 +70,9 @@ class Hazard:
     bound: Bound = "lower"
 
     variables: ClassVar[tuple[str, ...]] = (PERIOD, AMPLITUDE)
+    loads: ClassVar[str] = "pulses"
     intensity: ClassVar[str] = PGV
+    unit: ClassVar[str] = "m/s"
 
     @classmethod
     def is_of(cls, values: Mapping[str, Any]) -> bool:
@@ -252,53 +259,36 @@ class Hazard:
             sentences.append("The hazard has no curve of annual rates, so there is no risk in 50 years.")
         return sentences
 
-    def assumptions_at(self, name: str) -> list[str]:
-        """What the question at each level of an intensity assumes, as sentences."""
-        if name == AMPLITUDE:
-            return ["At each amplitude the pulse periods have the same distribution, because the pulses are scaled."]
-        if self.rows is not None:
-            return ["At each PGV the periods have the distribution of all the hazard's pulses."]
-        return []
+    @property
+    def assumptions_at_levels(self) -> Sequence[str]:
+        """What the question at each level assumes, as sentences."""
+        if self.rows is None:
+            return ()
+        return ("At each PGV the periods have the distribution of all the hazard's pulses.",)
 
-    def levels(self, intensity: str) -> tuple[str, str, Array]:
-        """Name, unit and levels of an intensity, "pgv" or "a_p"; those of "pgv" include the hazard's curve."""
+    def levels(self) -> Array:
+        """Levels of the PGV, (n,): 24 in a factor of ten, which include the hazard's curve."""
         curve = self.settings.curve
-        return levels_of(intensity, [self.median_velocity, *(curve.pgv_m_s if curve else ())])
+        velocities = [*_RANGE, self.median, *(curve.pgv_m_s if curve else ())]
+        first, last = (_PER_DECADE * np.log10(end) for end in (min(velocities), max(velocities)))
+        steps = np.arange(int(np.floor(first + 1e-9)), int(np.ceil(last - 1e-9)) + 1)
+        return np.asarray(10.0 ** (steps / _PER_DECADE))
 
-    def median(self, name: str) -> float:
-        """Median of the peak ground velocities PGV [m/s] or amplitudes A_p [g]."""
-        if name == PGV:
-            return self.median_velocity
-        rows = self.rows
-        if rows is None:
-            return float(amplitude_of(np.array(self.median_velocity), np.array(self.median_period)))
-        known = AMPLITUDE in rows.names
-        values = rows.column(AMPLITUDE) if known else amplitude_of(rows.column(PGV), rows.column(PERIOD))
-        return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
+    @property
+    def median(self) -> float:
+        """Median of the peak ground velocities [m/s]."""
+        return self.median_velocity
 
-    def question(self, space: DesignSpace, fixed: Mapping[str, float], at: At | None = None) -> Question:
-        """The question that the hazard asks of a campaign, given an intensity of its pulses if there is one.
+    def question(self, space: DesignSpace, fixed: Mapping[str, float], at: float | None = None) -> Question:
+        """The question that the hazard asks of a campaign.
 
-        Given the peak ground velocity, the period has its conditional distribution. Given the amplitude, it keeps its
-        distribution: the same pulses are scaled.
+        Given the peak ground velocity of the pulses, their period has its conditional distribution.
 
         Raises:
             InputError: as `check_applies` does, or if the pulses are rows and another variable has no value.
         """
-        if at is None:
-            return self._question(space, fixed, None)
-        name, level = at
-        if name == PGV:
-            return self._question(space, fixed, level)
-        scaled = self
-        if (pgv := self.settings.pgv) is not None:
-            alone = self.settings.model_copy(update={"pgv": pgv.model_copy(update={"correlation_with_period": 0.0})})
-            scaled = replace(self, settings=alone)
-        return with_amplitude(scaled._question(space, fixed, level))
-
-    def _question(self, space: DesignSpace, fixed: Mapping[str, float], pgv: float | None) -> Question:
         check_applies(self, space, fixed)
-        pulses, certain = self.pulses(pgv)
+        pulses, certain = self.pulses(at)
         factors = self.factors
         if isinstance(pulses, WeightedRows):
             open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
@@ -320,7 +310,7 @@ class Hazard:
 
         assert self.rates is not None
         rate = Rate(*self.rates)
-        title = f"pulses of at least {rate.velocity:g} m/s by the curve of {self.title}"
+        title = f"pulses of at least {rate.least:g} m/s by the curve of {self.title}"
         return replace(self, title=title, rows=pulses_of_curve(rate, self.rows, self.period_given))
 
     def deaggregated(

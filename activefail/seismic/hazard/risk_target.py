@@ -49,7 +49,7 @@ def pulses_of_curve(rate: Rate, rows: WeightedRows | None, period_given: PeriodG
         medians, dispersions = np.transpose([period_given(one) for one in speed.tolist()])
         return np.asarray(medians * np.exp(dispersions * ndtri(shares)))
 
-    velocities, rates = rate.velocities, rate.rates
+    velocities, rates = rate.levels, rate.rates
     slope = np.log(rates[-1] / rates[-2]) / np.log(velocities[-1] / velocities[-2])
     farther = np.clip(np.log(_REMAINING * rates[0] / rates[-1]) / slope, 0.0, math.log(_FARTHEST))
     last = velocities[-1] * math.exp(farther)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
-from activefail.analyses.comparison.measures import expected_calibration_error
 from activefail.analyses.sensitivity.logistic import logistic_regression
 from activefail.estimates.scores import log_score, probability_of_truth
 from activefail.execution.pool import ProcessPool
@@ -233,6 +232,12 @@ def _trained_on_split(
     training, held_out = split(rng, len(F))
     trained = _trained(method, F[training], failed[training])
     return trained, float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out]))
+
+
+def expected_calibration_error(p: Array, y: NDArray[np.bool_], bins: int = 10) -> float:
+    """Σ (n_bin/n)·|mean p − share of y| of probabilities p, (n,), over bins of equal width."""
+    bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
+    return float(np.abs(np.bincount(bin_index, weights=p - y, minlength=bins)).sum() / len(p))
 
 
 def process_of_draw(

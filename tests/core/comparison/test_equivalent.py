@@ -1,8 +1,9 @@
 """How many static simulations a campaign is worth."""
 
+import numpy as np
 import pytest
 
-from activefail.analyses.comparison.equivalent import equivalent
+from activefail.analyses.comparison.equivalent import equivalent, simulations_to_reach
 from activefail.estimates.scores import Score
 
 
@@ -15,6 +16,13 @@ STATIC = [
     for size, accuracies in ((500, (0.955, 0.957, 0.950)), (1000, (0.960, 0.958, 0.955)), (4000, (0.966, 0.962, 0.960)))
     for number, accuracy in enumerate(accuracies)
 ]
+
+
+def test_simulations_to_reach_a_level_are_interpolated_in_their_logarithm() -> None:
+    curve = np.array([250, 1000]), np.array([0.91, 0.94])
+    assert simulations_to_reach(*curve, 0.91) == 250
+    assert simulations_to_reach(*curve, 0.925) == pytest.approx(500)
+    assert simulations_to_reach(*curve, 0.96) is None
 
 
 def test_the_size_is_interpolated_in_its_logarithm_on_the_medians_and_along_each_series() -> None:

@@ -97,11 +97,11 @@ def test_a_start_far_from_every_boundary_is_not_called_a_design_at_one(one, find
 
 def test_a_plane_marks_every_simulated_design_and_pales_those_that_differ_in_the_other_variables(findings):
     pale, full = marks_in(findings, np.array(FAILING), [2, 3])
-    rows = findings.answered
+    rows = findings.history.answered
     assert len(pale.places) + len(full.places) == rows.sum()
-    apart = (findings.X[rows] - FAILING) / (findings.campaign.space.high - findings.campaign.space.low)
+    apart = (findings.history.designs[rows] - FAILING) / (findings.campaign.space.high - findings.campaign.space.low)
     near = np.sqrt((apart[:, :2] ** 2).mean(axis=1)) <= 0.25
-    assert sorted(full.places.tolist()) == sorted(findings.X[rows][near][:, [2, 3]].tolist())
+    assert sorted(full.places.tolist()) == sorted(findings.history.designs[rows][near][:, [2, 3]].tolist())
     assert pale.opacity < full.opacity
 
 

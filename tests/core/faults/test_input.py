@@ -273,7 +273,7 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
 OPTIONS = {
     "run": ["--out", "--seed", "--budget", "--workers", "--executor", "--scheduler"],
     "resume": ["--budget", "--workers", "--numerical-failures", "--code", "--executor", "--scheduler"],
-    "compare": ["--budgets", "--seeds", "--test", "--jobs", "--criteria", "--static", "--features", "--code"],
+    "compare": ["--budgets", "--seeds", "--test", "--static", "--code"],
     "verify": ["--simulations", "--confidence", "--code"],
     "predict": ["--csv", "--out", "--code"],
     "export": ["--csv", "--code"],

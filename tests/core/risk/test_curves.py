@@ -1,4 +1,4 @@
-"""Curves whose numbers are known: capacities, the lognormal fit, the verified band, the risk, and the exports."""
+"""Curves whose numbers are known: capacities, the verified band, the risk, and the exports."""
 
 import csv
 import io
@@ -18,11 +18,11 @@ from activefail.analyses.fragility.band import (
     levels_to_verify,
     verify,
 )
-from activefail.analyses.fragility.curve import Curve, Ladder, Rate, fit_lognormal, risk_of, why_not_fitted
-from activefail.analyses.fragility.exports import multilinear, openquake_model, pelicun_table
+from activefail.analyses.fragility.curve import Curve, Ladder, Rate, risk_of, why_not_fitted
 from activefail.campaign.question import Question
 from activefail.estimates.estimate import ProbabilityEstimate, plan_estimate
 from activefail.estimates.probability_estimator import Sampled, error_of_rows
+from activefail.seismic.exports import multilinear, openquake_model, pelicun_table
 from activefail.space.parameter import Parameter
 from activefail.space.space import Array, DesignSpace
 from activefail.space.weighted import WeightedRows
@@ -71,27 +71,8 @@ def test_a_capacity_that_the_ladder_does_not_reach_has_a_reason() -> None:
     assert high.capacity(0.1) == (None, "the curve already exceeds 10.0 % at its first level, 0.1")
 
 
-def test_the_fit_of_a_lognormal_curve_is_this_curve() -> None:
-    for curve in (CURVE, FALLING):
-        fit = fit_lognormal(curve)
-        assert fit is not None
-        assert (fit.median, fit.dispersion) == (pytest.approx(MEDIAN), pytest.approx(BETA))
-        assert fit.largest_misfit < 1e-6
-
-
-def test_the_fit_of_another_curve_has_a_misfit() -> None:
-    curve = Curve(LADDER, 0.5 * lognormal(LADDER.levels, 0.5, 0.1) + 0.5 * lognormal(LADDER.levels, 2.0, 0.1), 0.001)
-    fit = fit_lognormal(curve)
-    assert fit is not None
-    differences = np.abs(fit.at(LADDER.levels) - curve.probability)
-    assert fit.largest_misfit == pytest.approx(differences.max())
-    assert fit.largest_misfit > 0.1
-    assert LADDER.levels[np.argmax(differences)] == fit.largest_misfit_at
-
-
 def test_a_curve_without_a_median_is_not_fitted() -> None:
     low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
-    assert fit_lognormal(low) is None
     assert why_not_fitted(low) == "the curve does not cover 10 % to 50 %"
     linear = Curve(Ladder("x", "", np.linspace(-1.0, 1.0, 5), is_log=False), np.linspace(0.0, 1.0, 5), 0.001)
     assert why_not_fitted(linear) == "some levels of the curve are not positive"
@@ -110,7 +91,7 @@ def test_the_risk_under_a_power_law_is_its_closed_form() -> None:
     expected = 4e-4 * MEDIAN**-slope * math.exp(0.5 * (slope * BETA) ** 2) - below
     assert risk.annual_rate == pytest.approx(expected, rel=0.005)
     assert risk.probability == pytest.approx(1.0 - math.exp(-50.0 * expected), rel=0.005)
-    assert (risk.least_pgv_m_s, risk.at_least_pgv) == (0.3, pytest.approx(float(CURVE.at(0.3))))
+    assert (risk.least, risk.at_least) == (0.3, pytest.approx(float(CURVE.at(0.3))))
     assert risk.share_outside_hazard_curve == pytest.approx(1.0 - inside / expected, abs=0.005)
     assert risk.share_above_fragility_curve == pytest.approx(4e-4 * LADDER.levels[-1] ** -slope / expected, rel=0.02)
 

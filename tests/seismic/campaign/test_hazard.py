@@ -46,7 +46,7 @@ def hazard(folder: Path, text: str) -> Hazard:
 
 
 def asked(folder: Path, text: str, pgv: float | None = None, fixed: dict[str, float] = BEARING) -> Question:
-    return hazard(folder, text).question(TABLE_1, fixed, None if pgv is None else ("PGV", pgv))
+    return hazard(folder, text).question(TABLE_1, fixed, pgv)
 
 
 def logarithms(space: DesignSpace | WeightedRows, n: int = 2**14) -> dict[str, Array]:

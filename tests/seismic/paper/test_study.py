@@ -12,7 +12,6 @@ from cases import some
 from commandline import activefail
 from scipy.special import expit
 
-from activefail.analyses.comparison.measures import expected_calibration_error
 from activefail.analyses.sensitivity.logistic import logistic_regression
 from activefail.cli import main
 from activefail.seismic.bearing import TABLE_1, Model, simulate
@@ -126,13 +125,20 @@ def test_tilted_designs_have_the_papers_two_medians_and_leave_the_other_variable
     assert (moved[:, published.SLIDER_HEIGHT] <= X[:, published.SLIDER_HEIGHT] * (1 + 1e-12)).all()
 
 
+def test_the_calibration_error_is_zero_for_shares_that_come_and_the_gap_otherwise():
+    p = np.repeat([0.25, 0.75], 40)
+    y = np.concatenate([np.arange(40) < 10, np.arange(40) < 30])
+    assert paper.expected_calibration_error(p, y) == pytest.approx(0.0)
+    assert paper.expected_calibration_error(np.repeat([0.05, 0.95], 40), y) == pytest.approx(0.2)
+
+
 def test_calibration_of_probabilities_that_mean_what_they_say_and_of_ones_that_exaggerate():
     rng = np.random.default_rng(5)
     log_odds = rng.normal(0.0, 2.0, 40_000)
     y = rng.random(len(log_odds)) < expit(log_odds)
-    assert expected_calibration_error(expit(log_odds), y) < 0.01
+    assert paper.expected_calibration_error(expit(log_odds), y) < 0.01
     assert paper.calibration_slope(expit(log_odds), y) == pytest.approx(1.0, abs=0.05)
-    assert expected_calibration_error(expit(2.0 * log_odds), y) > 0.05
+    assert paper.expected_calibration_error(expit(2.0 * log_odds), y) > 0.05
     assert paper.calibration_slope(expit(2.0 * log_odds), y) == pytest.approx(0.5, abs=0.03)
 
 

@@ -153,9 +153,9 @@ def test_what_a_risk_needs_is_told() -> None:
     for other in (Requirement("impact", 0.3), Requirement("impact", 0.3, 30.0)):
         with pytest.raises(InputError, match="all targets must be risks in the same number of years"):
             at_risk(hazard(), [one, other])
-    with pytest.raises(InputError, match="Begin the curve at a larger velocity"):
+    with pytest.raises(InputError, match="Begin the curve at a larger level"):
         at_risk(hazard(), [Requirement("failure", 1e-4, 50.0)])
-    with pytest.raises(InputError, match="Begin the curve at a smaller velocity"):
+    with pytest.raises(InputError, match="Begin the curve at a smaller level"):
         at_risk(hazard(), [Requirement("failure", 0.9, 50.0)])
 
 
@@ -184,5 +184,5 @@ def test_a_bearing_is_designed_for_a_risk(tmp_path: Path) -> None:
     with open_run(tmp_path / "run") as opened:
         assert opened.store.recall(("verified designs",)) is None
     refused(
-        activefail("report", tmp_path / "run", *asked[:4], "--target", "1% in 50 years"), "given a pulse of the hazard"
+        activefail("report", tmp_path / "run", *asked[:4], "--target", "1% in 50 years"), "under loads of the hazard"
     )
