@@ -30,11 +30,7 @@ def as_path(file: Any) -> Any:
 
 
 def path_of(name: str, file: Any) -> Path:
-    """A file in an argument.
-
-    Raises:
-        InputError: if it is no path.
-    """
+    """A file in an argument."""
     if not isinstance(file := as_path(file), Path):
         raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
     return file
