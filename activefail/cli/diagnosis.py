@@ -19,7 +19,6 @@ from activefail.visible import visible
 _LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
 _EXTRAS = {
-    "video": "MP4 animations",
     "cluster": "simulations on a Dask cluster",
     "parquet": "`activefail export --parquet`",
     "sensitivity": "`activefail sensitivity`",

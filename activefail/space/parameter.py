@@ -255,7 +255,7 @@ class Parameter:
         groups: tuple[str, ...] | None = None,
         most: int = MOST_CHOICES,
     ) -> "Parameter":
-        """A variable with choices, equally probable unless probabilities are given; `most` without features or groups."""
+        """A variable with choices, equally probable unless given probabilities; `most` without features or groups."""
         with _naming(name):
             if not 2 <= len(choices) <= (most := MOST_CARRIED if features or groups else most):
                 raise ValueError(f"`choices` must have 2 to {most} entries, got {list(choices)}")

@@ -7,9 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from activefail.pages.report import page
-from activefail.seismic.views import bearing
 
-_SLOW = ((page, "plot_pairs"), (page, "plot_outcome_planes"), (bearing, "plot_snapshots"))
+_SLOW = ((page, "plot_pairs"), (page, "plot_outcome_planes"))
 
 
 @contextmanager

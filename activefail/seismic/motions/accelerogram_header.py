@@ -262,7 +262,7 @@ def check_option(header: Lines, dt: float) -> None:
 
 
 def check_peak(header: Lines, peak: float, unit: str) -> None:
-    """Check the largest acceleration of the samples [m/s2] against that of the header, in this unit if it names none."""
+    """Check the largest acceleration of the samples [m/s2] against that of the header, in this unit if it has none."""
     for line, text in header:
         for match in _PEAK.finditer(text):
             stated = abs(number_in(match[2])) * UNITS.get(unit_named(match[1] or match[3] or unit), 0.0)
