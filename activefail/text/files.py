@@ -87,7 +87,9 @@ def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
     if path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: the name of {what} must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}.")
+        *others, last = suffixes
+        known = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{path}: the name of {what} must end in {known}.")
 
 
 def target_of(path: Path) -> Path:

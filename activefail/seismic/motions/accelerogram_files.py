@@ -37,7 +37,6 @@ from activefail.visible import visible
 _LARGEST = 200_000_000
 """Most bytes of a file."""
 
-_NUMBER = re.compile(NUMBER)
 _NUMBER_OR_NONE = re.compile(rf"{NUMBER}|[+-]?(?:nan|inf)\b", re.IGNORECASE)
 
 _WITH_POINT = re.compile(r"[+-]?(?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
