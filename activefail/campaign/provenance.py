@@ -12,7 +12,7 @@ from activefail.plugins import brought
 from activefail.version import __version__
 from activefail.visible import visible
 
-_PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "h5py")
+_PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", *brought("libraries"), "h5py")
 
 _LIBRARY_OPTIONS = (
     "ATEN_CPU_CAPABILITY",
@@ -53,7 +53,7 @@ def provenance(used: Collection[type[NamedSettings] | NamedSettings] | None = No
     """
     used = NAMED.values() if used is None else used
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
-    record |= {name: _version(name) for name in (*_PACKAGES, *brought("libraries"))}
+    record |= {name: _version(name) for name in _PACKAGES}
     for one in used:
         record |= one.sources()
     record |= {name: fact() for name, fact in brought("provenance").items()}

@@ -16,7 +16,7 @@ from activefail.errors import SelfTestError
 from activefail.plugins import brought
 from activefail.visible import visible
 
-_LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "h5py")
+_LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", *brought("libraries"), "h5py")
 
 _EXTRAS = {
     "cluster": "simulations on a Dask cluster",
@@ -45,7 +45,7 @@ class Finding:
 def diagnosis() -> Iterator[Finding]:
     """The findings, one by one; the self-tests come last and take about a second once the simulator is compiled."""
     yield Finding("activefail", f"{_version('activefail')}, Python {platform.python_version()}, {platform.platform()}")
-    yield Finding("libraries", ", ".join(f"{name} {_version(name)}" for name in _libraries()))
+    yield Finding("libraries", ", ".join(f"{name} {_version(name)}" for name in _LIBRARIES))
     yield _cores()
     for extra, purpose in {**_EXTRAS, **brought("extras")}.items():
         yield _extra(extra, purpose)
@@ -57,13 +57,9 @@ def diagnosis() -> Iterator[Finding]:
 
 def versions() -> dict[str, str | None]:
     """Versions of activefail, Python and the libraries, by name; None for a missing one."""
-    found = {name: _version(name) for name in ("activefail", *_libraries())}
+    found = {name: _version(name) for name in ("activefail", *_LIBRARIES)}
     installed = {name: None if version == "missing" else version for name, version in found.items()}
     return {"python": platform.python_version(), **installed}
-
-
-def _libraries() -> tuple[str, ...]:
-    return (*_LIBRARIES, *brought("libraries"))
 
 
 def _version(name: str) -> str:
