@@ -8,10 +8,11 @@ from importlib.metadata import version
 
 from activefail.campaign.named import NamedSettings
 from activefail.campaign.settings import NAMED
+from activefail.plugins import brought
 from activefail.version import __version__
 from activefail.visible import visible
 
-_PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+_PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", *brought("libraries"), "h5py")
 
 _LIBRARY_OPTIONS = (
     "ATEN_CPU_CAPABILITY",
@@ -39,7 +40,7 @@ def simulation_versions() -> dict[str, str]:
     return {
         "activefail": __version__,
         "python": platform.python_version(),
-        **{name: _version(name) for name in ("numpy", "numba")},
+        **{name: _version(name) for name in ("numpy", *brought("libraries"))},
         **{name: text for one in NAMED.values() for name, text in (one.sources() | one.options()).items()},
     }
 
@@ -53,15 +54,9 @@ def provenance(used: Collection[type[NamedSettings] | NamedSettings] | None = No
     used = NAMED.values() if used is None else used
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
     record |= {name: _version(name) for name in _PACKAGES}
-    import llvmlite.binding as llvm
-
     for one in used:
         record |= one.sources()
-    record["processor"] = llvm.get_host_cpu_name()
-    # Numba compiles for these features; two machines of the same name can differ in them.
-    record["processor_features"] = ",".join(
-        sorted(name for name, present in llvm.get_host_cpu_features().items() if present)
-    )
+    record |= {name: fact() for name, fact in brought("provenance").items()}
     for one in used:
         record |= one.options()
     options = [f"{name}={visible(os.environ[name])}" for name in _LIBRARY_OPTIONS if name in os.environ]

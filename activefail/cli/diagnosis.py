@@ -16,17 +16,15 @@ from activefail.errors import SelfTestError
 from activefail.plugins import brought
 from activefail.visible import visible
 
-_LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+_LIBRARIES = ("numpy", "scipy", "torch", "gpytorch", "botorch", *brought("libraries"), "h5py")
 
 _EXTRAS = {
-    "video": "MP4 animations",
     "cluster": "simulations on a Dask cluster",
     "parquet": "`activefail export --parquet`",
     "sensitivity": "`activefail sensitivity`",
-    "records": "the records of FEMA P695 for `activefail ida`",
     "opensees": "the campaigns frame and opensees",
 }
-"""Extras for users, and what each is for."""
+"""Extras for users, and what each is for, beside those of plug-ins."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,8 @@ def diagnosis() -> Iterator[Finding]:
     yield Finding("activefail", f"{_version('activefail')}, Python {platform.python_version()}, {platform.platform()}")
     yield Finding("libraries", ", ".join(f"{name} {_version(name)}" for name in _LIBRARIES))
     yield _cores()
-    yield from map(_extra, _EXTRAS)
+    for extra, purpose in {**_EXTRAS, **brought("extras")}.items():
+        yield _extra(extra, purpose)
     for title, fact in brought("facts").items():
         yield Finding(title, fact())
     for title, test in {**brought("self_tests"), "campaign": _campaign}.items():
@@ -78,14 +77,14 @@ def _cores() -> Finding:
     return Finding("cores", f"{usable} usable of {os.cpu_count()}; threads: {', '.join(threads) or 'unknown'}")
 
 
-def _extra(extra: str) -> Finding:
+def _extra(extra: str, purpose: str) -> Finding:
     """Whether the packages of an extra are installed."""
     requirements = (line for line in importlib.metadata.requires("activefail") or () if f"extra == '{extra}'" in line)
     names = [re.split(r"[^\w.-]", line.replace('"', "'"))[0] for line in requirements]
     missing = [name for name in names if _version(name) == "missing"]
     if missing:
-        return Finding(extra, f"missing ({_EXTRAS[extra]}): pip install 'activefail[{extra}]'")
-    return Finding(extra, f"installed ({_EXTRAS[extra]})")
+        return Finding(extra, f"missing ({purpose}): pip install 'activefail[{extra}]'")
+    return Finding(extra, f"installed ({purpose})")
 
 
 def _tested(title: str, test: Callable[[], str]) -> Finding:

@@ -52,11 +52,6 @@ def kind_of_estimate(question: str) -> str:
     return f"asked-{question[:16]}" if question else "fresh"
 
 
-def is_stored(store: Store, name: str) -> bool:
-    """Whether the first part of a set is stored."""
-    return f"{name}-0" in store.set_names()
-
-
 def sizes_of_test_sets(store: Store) -> list[int]:
     """Sizes of the test sets with at least one stored part, the largest first."""
     return _numbers(store, r"test-(\d+)")

@@ -99,11 +99,7 @@ class Schema:
                 raise ValueError(f"`{field.name}` must be a tuple of strings, got {names!r}.")
 
     def check(self, designs: Array, results: Results) -> None:
-        """Check that designs and results match this schema.
-
-        Raises:
-            InputError: if a type, a number of columns or a code does not, or a design is not finite.
-        """
+        """Check that designs and results match this schema."""
         columns = {"designs": designs, **answers_of(results)}
         for name, array in columns.items():
             if array.dtype != np.dtype(COLUMNS[name]):
@@ -120,11 +116,7 @@ class Schema:
         self.check_codes("cause", results.cause)
 
     def check_codes(self, column: str, codes: NDArray[np.int8]) -> None:
-        """Check that all codes of the column "outcome" or "cause" have names.
-
-        Raises:
-            InputError: if a code has no name.
-        """
+        """Check that all codes of the column "outcome" or "cause" have names."""
         names, low = {"outcome": (self.outcomes, NUMERICAL_FAILURE), "cause": (self.causes, min(EXECUTION_CAUSES))}[
             column
         ]

@@ -68,9 +68,6 @@ def correcting(batches: Sequence[Batch], place: NDArray[np.int64], results: Resu
         place: (k,) of the simulations, k ≥ 1.
         results: the k new results.
         schema: of the record.
-
-    Raises:
-        InputError: if there is none, a place is not one of the record or occurs twice, or a result breaks the schema.
     """
     ends, places = _ends(batches), place.tolist()
     simulations = ends[-1] if ends else 0

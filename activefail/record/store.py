@@ -205,11 +205,7 @@ class Store(Protocol):
 
 
 def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Copies of a state's arrays.
-
-    Raises:
-        InputError: if an array has another type, a name is empty or the iteration is negative.
-    """
+    """Copies of a state's arrays."""
     if iteration < 0 or not all(arrays):
         raise InputError(
             f"A state must have `iteration >= 0` and a name for each array, got {iteration} and {list(arrays)}."

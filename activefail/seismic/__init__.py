@@ -21,6 +21,18 @@ the first variables of its chart."""
 SETS = {"motions": "activefail.seismic.motions.motions:Motions"}
 """The ground motions of a variable with a set of records."""
 
+LIBRARIES = {"numba": "compiles the bearing"}
+"""Packages whose versions a campaign's results depend on."""
+
+PROVENANCE = {
+    "processor": "activefail.seismic.diagnosis:processor",
+    "processor_features": "activefail.seismic.diagnosis:processor_features",
+}
+"""What else they depend on: the processor for which numba compiles."""
+
+EXTRAS = {"records": "the records of FEMA P695 for `activefail ida`"}
+"""Extras for users."""
+
 FACTS = {"kernels": "activefail.seismic.diagnosis:kernels"}
 SELF_TESTS = {"simulator": "activefail.seismic.diagnosis:simulator"}
 """What `activefail doctor` says of the bearing."""

@@ -1,4 +1,4 @@
-"""What `activefail doctor` says of the bearing."""
+"""What `activefail doctor` and the provenance of a campaign say of the bearing."""
 
 from pathlib import Path
 
@@ -6,6 +6,20 @@ import numpy as np
 
 from activefail.errors import SelfTestError
 from activefail.visible import visible
+
+
+def processor() -> str:
+    """The processor for which numba compiles."""
+    import llvmlite.binding as llvm
+
+    return str(llvm.get_host_cpu_name())
+
+
+def processor_features() -> str:
+    """The features that it compiles for; two processors of the same name can differ in them."""
+    import llvmlite.binding as llvm
+
+    return ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
 
 
 def kernels() -> str:

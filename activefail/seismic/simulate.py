@@ -52,7 +52,7 @@ def simulate(
     ),
     out: Path | None = option(None, "Table to write, with --csv; - is standard output.", Path),
     plot: Path | None = option(None, "Plot the response (.png, .svg or .pdf).", Path),
-    animate: Path | None = option(None, "Animate the bearing (.gif or .mp4).", Path),
+    animate: Path | None = option(None, "Animate the bearing (.gif).", Path),
     as_json: AsJson = False,
     model: "Model" = MODEL,
     tolerance: "Tolerance" = TOLERANCE,
@@ -125,7 +125,7 @@ def _simulate_one(
     from activefail.seismic.motions.accelerogram_files import doubts
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
-    check_file(animate, "an animation", (".gif", ".mp4"))
+    check_file(animate, "an animation", (".gif",))
     bearing = Bearing.from_row(design, model.slider_diameter)
     motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.

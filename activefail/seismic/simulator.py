@@ -117,11 +117,7 @@ class DfpSimulator:
         return np.asarray(A_p <= mu)
 
     def check(self, X: Array) -> None:
-        """Check that designs, (n, d), can be built and shaken.
-
-        Raises:
-            InputError: naming the variable, the rule and the value of the first that cannot.
-        """
+        """Check that designs, (n, d), can be built and shaken."""
         for row in self.space.table(X, TABLE_1.names).tolist():
             Bearing.from_row(row, self.model.slider_diameter)
             Pulse.from_table(*row[7:])

@@ -215,11 +215,7 @@ class CommandSimulator:
         return self.work / hashlib.sha256(np.asarray(x, dtype=np.float64).tobytes()).hexdigest()[:16]
 
     def check_permitted(self) -> None:
-        """Check that the program may be run.
-
-        Raises:
-            InputError: if it may not.
-        """
+        """Check that the program may be run."""
         if self.here is None:
             raise not_permitted(COMMAND_KEY, repr(self.command))
 
@@ -227,7 +223,6 @@ class CommandSimulator:
         """Simulate designs, (n, d), one after the other.
 
         Raises:
-            InputError: if the program may not be run.
             OSError: if the program cannot be started or its folder cannot be written.
             RuntimeError: if its exit code is not 0.
             UnusableAnswerError: if its answer is missing or breaks a rule.

@@ -53,11 +53,7 @@ class PythonSimulator:
     releases_gil = False
 
     def check_permitted(self) -> None:
-        """Check that the function may be run.
-
-        Raises:
-            InputError: if it may not.
-        """
+        """Check that the function may be run."""
         if self.code is None:
             raise not_permitted(SIMULATOR_KEY, self.reference)
 
@@ -72,11 +68,7 @@ class PythonSimulator:
         return digest
 
     def prepare(self) -> None:
-        """Import the function's module and read records, so that neither counts as simulation time.
-
-        Raises:
-            InputError: as `load` does, and if the records are not those of the campaign.
-        """
+        """Import the function's module and read records, so that neither counts as simulation time."""
         _loaded(self.reference, self.code, self.source, self.folder)
         read_objects(self.space)
 
@@ -84,7 +76,6 @@ class PythonSimulator:
         """Simulate designs, (n, d), one after the other.
 
         Raises:
-            InputError: as `load` does.
             UnusableAnswerError: if a return value breaks a rule.
         """
         function = _loaded(self.reference, self.code, self.source, self.folder)
@@ -105,11 +96,7 @@ class PythonSimulator:
 
 
 def _check_takes_a_design(function: Callable[..., object], reference: str) -> None:
-    """Check that a function can be called with one argument, before a whole initial design fails without it.
-
-    Raises:
-        InputError: if it cannot.
-    """
+    """Check that a function can be called with one argument, before a whole initial design fails without it."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):

@@ -23,11 +23,7 @@ def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, Any]]:
 
 
 def read_objects(space: DesignSpace) -> None:
-    """Read what choices stand for, such as records, once in this process.
-
-    Raises:
-        InputError: if that cannot be read, or has changed.
-    """
+    """Read what choices stand for, such as records, once in this process."""
     for one in space.parameters:
         if one.payload is not None:
             one.payload()

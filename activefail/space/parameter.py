@@ -196,9 +196,6 @@ class Parameter:
             samples of their kind. None if the choices are no sample.
         payload: what the choices stand for; None if they are nothing but texts or numbers.
         features: quantities that follow from the choice. The classifier sees them in place of the choice.
-
-    Raises:
-        InputError: if the name is not an identifier or the numbers do not define a distribution.
     """
 
     name: str
@@ -233,9 +230,6 @@ class Parameter:
             name, low, high, unit, distribution, step: see the class.
             parameters: numbers by name, one of the family's sets (`activefail.space.distributions.Family`).
             distance: where bounds lie that are left out, in standard deviations of a normal variable.
-
-        Raises:
-            InputError: as the class does.
         """
         with _naming(name):
             mean, sd = checked_moments(distribution, low, high, parameters)
@@ -261,11 +255,7 @@ class Parameter:
         groups: tuple[str, ...] | None = None,
         most: int = MOST_CHOICES,
     ) -> "Parameter":
-        """A variable with choices, equally probable unless probabilities are given; `most` without features or groups.
-
-        Raises:
-            InputError: if they break a rule.
-        """
+        """A variable with choices, equally probable unless given probabilities; `most` without features or groups."""
         with _naming(name):
             if not 2 <= len(choices) <= (most := MOST_CARRIED if features or groups else most):
                 raise ValueError(f"`choices` must have 2 to {most} entries, got {list(choices)}")

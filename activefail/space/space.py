@@ -434,11 +434,7 @@ class DesignSpace:
         return [known[name] for name in names]
 
     def table(self, X: Array, names: Sequence[str]) -> Array:
-        """The named quantities of designs, (n, d) -> (n, len(names)), fixed ones included.
-
-        Raises:
-            InputError: as `pick` does.
-        """
+        """The named quantities of designs, (n, d) -> (n, len(names)), fixed ones included."""
         X = np.asarray(X)
         return np.column_stack([np.broadcast_to(column, len(X)) for column in self.pick(list(X.T), names)])
 

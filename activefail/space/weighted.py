@@ -24,9 +24,6 @@ class WeightedRows:
         weight: (n,) relative to the mean weight, so that weighted means are means.
         is_sample: whether the rows are a sample that stands for a continuous distribution, in `BLOCKS` blocks each of
             which stands for it too; otherwise they are the distribution itself.
-
-    Raises:
-        InputError: if the shapes differ, a value or weight is not finite, a weight is negative, or all are zero.
     """
 
     names: tuple[str, ...]

@@ -124,11 +124,7 @@ class Table:
 
     @classmethod
     def of_python(cls, table: Any) -> Self:
-        """A pandas DataFrame, a mapping of columns, a sequence of mappings, one for each row, or a single row.
-
-        Raises:
-            InputError: if it is something else.
-        """
+        """A pandas DataFrame, a mapping of columns, a sequence of mappings, one for each row, or a single row."""
         import pandas as pd
 
         rule = "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"
@@ -222,11 +218,7 @@ class Table:
         return None if _is_missing(value) else value
 
     def number(self, row: int, name: str) -> float:
-        """A cell as a number, infinity and NaN included; NaN if it is empty.
-
-        Raises:
-            InputError: if it is no number.
-        """
+        """A cell as a number, infinity and NaN included; NaN if it is empty."""
         value = self.cell(row, name)
         if value is None:
             return math.nan
@@ -241,22 +233,14 @@ class Table:
         return number
 
     def finite(self, row: int, name: str) -> float:
-        """A cell as a finite number.
-
-        Raises:
-            InputError: if it is not a finite number.
-        """
+        """A cell as a finite number."""
         number = self.number(row, name)
         if not math.isfinite(number):
             raise self.broken(row, name, "must be a finite number", self.cell(row, name))
         return number
 
     def value(self, row: int, of: Parameter) -> float:
-        """A variable's cell as a finite number, that of the choice if it has choices.
-
-        Raises:
-            InputError: if it is not a finite number, or no choice.
-        """
+        """A variable's cell as a finite number, that of the choice if it has choices."""
         if not of.choices:
             return self.finite(row, of.name)
         cell = self.cell(row, of.name)
@@ -268,11 +252,7 @@ class Table:
             raise self.broken(row, of.name, of.rule, cell) from None
 
     def designs(self, space: DesignSpace) -> Array:
-        """The designs in columns, (rows, d).
-
-        Raises:
-            InputError: if a column is missing, or a cell is no finite number or choice.
-        """
+        """The designs in columns, (rows, d)."""
         self.require(space.names)
         X = np.empty((len(self.rows), space.dimension))
         of_choices = [bool(one.choices) for one in space.parameters]
@@ -282,11 +262,7 @@ class Table:
         return X
 
     def numbers(self, names: Sequence[str]) -> Array:
-        """The finite numbers in columns, (rows, names), such as the designs of a table.
-
-        Raises:
-            InputError: if a column is missing, or a cell is no finite number.
-        """
+        """The finite numbers in columns, (rows, names), such as the designs of a table."""
         self.require(names)
         columns = [self.columns.index(name) for name in names]
         try:
@@ -444,11 +420,7 @@ def parts_of(source: Kept, at_once: int | None) -> Iterator[Table]:
 
 
 def _header(table: str, cells: list[str] | None) -> tuple[str, ...]:
-    """The names of a table's columns.
-
-    Raises:
-        InputError: if there are none, or two of one name.
-    """
+    """The names of a table's columns."""
     if cells is None:
         raise InputError(f"{table}: is empty; a header is required.")
     names = [name.strip() for name in cells]
@@ -543,11 +515,7 @@ def harmless(cell: Any) -> Any:
 
 
 def likely_header(path: Path) -> list[str]:
-    """The names of the columns of a file that need not be a valid table, whatever separates them.
-
-    Raises:
-        InputError: if the file cannot be read.
-    """
+    """The names of the columns of a file that need not be a valid table, whatever separates them."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             # Of UTF-16, the zeros are left.

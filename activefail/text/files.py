@@ -30,11 +30,7 @@ def as_path(file: Any) -> Any:
 
 
 def path_of(name: str, file: Any) -> Path:
-    """A file in an argument.
-
-    Raises:
-        InputError: if it is no path.
-    """
+    """A file in an argument."""
     if not isinstance(file := as_path(file), Path):
         raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
     return file
@@ -91,7 +87,9 @@ def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
     if path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: the name of {what} must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}.")
+        *others, last = suffixes
+        known = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{path}: the name of {what} must end in {known}.")
 
 
 def target_of(path: Path) -> Path:

@@ -11,7 +11,7 @@ from matplotlib.patches import Arc, Polygon
 
 from activefail.pages.figures import style
 from activefail.seismic.bearing import Bearing
-from activefail.seismic.figures.motion import on_slider, on_top_plate, plate_outline, slider_outline
+from activefail.seismic.figures.bodies import on_slider, on_top_plate, plate_outline, slider_outline
 
 FILE = Path(__file__).with_name("bearing_model.svg")
 

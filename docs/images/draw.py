@@ -4,7 +4,7 @@ from pathlib import Path
 
 from activefail.seismic.bearing import Bearing, Pulse, simulate_one
 from activefail.seismic.bearing.design import GRAVITY
-from activefail.seismic.figures.motion import plot_snapshots
+from activefail.seismic.views.film import stills
 
 HERE = Path(__file__).parent
 
@@ -14,4 +14,5 @@ for name, bearing, pulse in (
     ("failing", failing, Pulse(2.5, 0.5 * GRAVITY)),
     ("surviving", surviving, Pulse(4.44, 0.178 * GRAVITY)),
 ):
-    plot_snapshots(simulate_one(bearing, pulse, to_the_end=True)).savefig(HERE / f"{name}.png", dpi=100)
+    drawn = stills(simulate_one(bearing, pulse, to_the_end=True), f"A {name} bearing")
+    (HERE / f"{name}.svg").write_text(drawn)

@@ -63,6 +63,6 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatc
         return version(name)
 
     monkeypatch.setattr(importlib.metadata, "version", without_arrow)
-    parquet = diagnosis._extra("parquet")
+    parquet = diagnosis._extra("parquet", diagnosis._EXTRAS["parquet"])
     assert parquet.text == "missing (`activefail export --parquet`): pip install 'activefail[parquet]'"
     assert not parquet.is_fault

@@ -132,7 +132,7 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         (["--csv", "none.csv", "--out", "o.csv"], ["none.csv: cannot be read"]),
         ([*design(), "--out", "o.csv"], ["--out requires --csv"]),
         ([*design(), "--plot", "p.jpeg"], ["p.jpeg", ".png, .svg or .pdf"]),
-        ([*design(), "--animate", "a.avi"], ["a.avi", ".gif or .mp4"]),
+        ([*design(), "--animate", "a.avi"], ["a.avi", "must end in .gif."]),
         ([*design(), "--animate", "none/a.gif"], ["none/a.gif: the folder", "does not exist"]),
         (design(mu="nan"), ["`mu > 0` must hold, got nan"]),
         (design(t_p="-1"), ["T_p", "> 0` must hold, got -1.0"]),

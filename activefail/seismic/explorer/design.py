@@ -215,11 +215,7 @@ class DesignPage:
         return {"required": self.required, "verify": self.verify}
 
     def asked(self, values: Values) -> Asked:
-        """What a form asks.
-
-        Raises:
-            InputError: naming the field, the rule and the value.
-        """
+        """What a form asks."""
         period = chosen(values, "period", [one.name for one in PERIODS])
         site = (*(one for one in PERIODS if one.name == period), *self.site)
         target = float(f"{TARGET.read(values) / 100.0:.12g}")

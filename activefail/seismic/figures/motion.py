@@ -1,6 +1,5 @@
-"""Figures of one simulated bearing: its response over time, and its bodies to scale at an instant.
+"""Figures of one simulated bearing: its response over time; forces and gaps come from the kernels.
 
-All lengths are in the frame of the bottom plate, as in `seismic.bearing`; forces and gaps come from its kernels.
 Importing this module imports matplotlib, but not pyplot, so that any thread can draw.
 """
 
@@ -10,38 +9,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.patches import Polygon
 
 from activefail.pages.figures import style
-from activefail.seismic.bearing import Accelerogram, Bearing, Response
-from activefail.seismic.bearing.contact import gap, meets_rim
+from activefail.seismic.bearing import Accelerogram, Response
 from activefail.seismic.bearing.design import GRAVITY
-from activefail.seismic.bearing.dynamics import lever, seen_by_plate
-from activefail.seismic.bearing.motion import Motion, describe_design, describe_outcome, instants, minus, seconds
+from activefail.seismic.bearing.motion import Motion, describe_design, describe_outcome, minus
 from activefail.space.space import Array
-
-ARC_POINTS = 41
-"""Points of a polygon along a spherical surface; the chords are within 0.1 mm of the arc."""
-
-PLATE_THICKNESS = 0.15
-"""Drawn thickness of the plates below their apex / D_sl; the model's plates have none."""
-
-RIM_WIDTH = 0.12
-"""Drawn width of the rims / D_sl; the model's rims are walls."""
-
-FOOTNOTE = (
-    "To scale, in the frame of the bottom plate. Bodies overlap where a contact spring is compressed; "
-    "the model's plates never touch."
-)
-"""The note on the drawn bodies."""
-
-
-# ---------------------------------------------------------------------------------------------------- over time
 
 
 @style.styled()
@@ -231,215 +208,3 @@ def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
         axes.set_ylim(-shown, shown)
         axes.set_title(f"Hysteresis loop (impacts cut off, peak {minus(f'{peak:.1f}')})")
     _legend_above(axes)
-
-
-# ---------------------------------------------------------------------------------------------------- the bodies
-
-
-def slider_outline(bearing: Bearing) -> Array:
-    """Outline of the slider relative to its centre, shape (2 ARC_POINTS, 2) [m].
-
-    Bottom arc from left to right, then top arc from right to left, both of radius R. Rows 0, ARC_POINTS − 1, ARC_POINTS
-    and −1 are the vertices at the bottom left, bottom right, top right and top left.
-    """
-    half_width, half_height = bearing.slider_diameter / 2.0, bearing.slider_height / 2.0
-    x = np.linspace(-half_width, half_width, ARC_POINTS)
-    bulge = np.sqrt(bearing.radius**2 - x**2) - math.sqrt(bearing.radius**2 - half_width**2)
-    bottom = np.column_stack((x, -half_height - bulge))
-    return np.vstack((bottom, -bottom))
-
-
-def plate_outline(bearing: Bearing, rims: bool = True) -> Array:
-    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from the dish's axis, w from its apex towards the slider [m].
-
-    Args:
-        bearing: the bearing.
-        rims: whether the outline includes them.
-    """
-    half_dish = bearing.dish_diameter / 2.0
-    u = np.linspace(-half_dish, half_dish, ARC_POINTS)
-    w = bearing.radius - np.sqrt(bearing.radius**2 - u**2)
-    top, back = w[-1] + rims * bearing.rim_height, -PLATE_THICKNESS * bearing.slider_diameter
-    outer = half_dish + RIM_WIDTH * bearing.slider_diameter
-    left = [(-outer, back), (-outer, top), (-half_dish, top)]
-    right = [(half_dish, top), (outer, top), (outer, back)]
-    return np.vstack((left, np.column_stack((u, w)), right))
-
-
-def rim_outlines(bearing: Bearing) -> tuple[Array, Array]:
-    """Outlines of a plate's left and right rim, shape (4, 2), in the coordinates of `plate_outline`."""
-    half_dish = bearing.dish_diameter / 2.0
-    edge = bearing.radius - math.sqrt(bearing.radius**2 - half_dish**2)
-    outer, top = half_dish + RIM_WIDTH * bearing.slider_diameter, edge + bearing.rim_height
-    right = np.array([(half_dish, edge), (outer, edge), (outer, top), (half_dish, top)])
-    return right * (-1.0, 1.0), right
-
-
-def plate_parts(motion: Motion) -> tuple[Array, tuple[Array, ...]]:
-    """Outlines of a plate and of its rims, which are empty without rims; a rigid rim is part of the plate too."""
-    bearing, kind = motion.response.bearing, motion.response.model.rim
-    return plate_outline(bearing, kind == "rigid"), () if kind == "none" else rim_outlines(bearing)
-
-
-def on_slider(outline: Array, q: Array) -> Array:
-    """Transform an outline from the slider's centre, shape (n, 2), to the frame of the bottom plate."""
-    cosine, sine = math.cos(q[2]), math.sin(q[2])
-    rotated: Array = outline @ np.array(((cosine, sine), (-sine, cosine)))
-    return rotated + q[:2]
-
-
-def on_top_plate(outline: Array, q: Array) -> Array:
-    """Transform an outline from the top plate's coordinates, shape (n, 2), to the frame of the bottom plate."""
-    return outline * (1.0, -1.0) + q[3:]
-
-
-def slider_vertices(motion: Motion, q: Array) -> Array:
-    """The slider's vertices in the frame of the bottom plate, shape (4, 2): bottom left, right, top left, right [m]."""
-    return np.array([q[:2] + lever(motion.system, vertex, q[2]) for vertex in range(4)])
-
-
-BEARS, ON_RIM, OVER_RIM, LIFTED = range(4)
-"""States of a vertex: bears on the dish alone, presses on the rim, has escaped over the rim, or touches neither."""
-
-VERTEX_MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markeredgecolor": style.BLACK, "zorder": 5}
-VERTEX_MARKS: tuple[dict[str, Any], ...] = (
-    {"label": "bears on the dish", "marker": "o", "markerfacecolor": style.BLACK},
-    {"label": "presses on the rim", "marker": "s", "markerfacecolor": style.VERMILION},
-    {"label": "escaped over the rim", "marker": "D", "markerfacecolor": style.YELLOW},
-    {"label": "lifted off", "marker": "o", "markerfacecolor": "white"},
-)
-
-
-def vertex_states(motion: Motion, time: float) -> list[int]:
-    """The state of each of the four vertices at a time [s]: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
-    states, q, plates = [], motion.position(time), motion.plates(time)
-    for vertex in range(4):
-        plate = plates[vertex // 2]
-        u, w = seen_by_plate(vertex, *lever(motion.system, vertex, q[2]), q)
-        if meets_rim(u, w, plate):
-            states.append(ON_RIM)
-        elif abs(u) >= plate.rim_distance and w >= plate.rim_top:
-            states.append(OVER_RIM)
-        else:
-            states.append(LIFTED if gap(u, w, plate) > 0.0 else BEARS)
-    return states
-
-
-def extent(motion: Motion) -> tuple[Array, Array]:
-    """Lower left and upper right corner of a drawing of the whole motion, with a margin, shape (2,) each."""
-    bearing = motion.response.bearing
-    (plate, rims), body = plate_parts(motion), slider_outline(bearing)
-    plate = np.vstack((plate, *rims))
-    q = motion.position(motion.fine_times())
-    bodies = [plate]
-    # The polygons are outermost near the extremes of the coordinates; the margin covers the difference.
-    for row in {int(extreme) for column in q.T for extreme in (column.argmin(), column.argmax())}:
-        bodies += [on_top_plate(plate, q[row]), on_slider(body, q[row])]
-    points = np.vstack(bodies)
-    margin = 0.12 * bearing.slider_diameter
-    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    # Room for the arrow of the ground acceleration and its label.
-    low[1] -= 0.45 * bearing.slider_diameter
-    return low, high
-
-
-class BearingDrawing:
-    """A drawing of a bearing's bodies on matplotlib axes, to scale, in the frame of the bottom plate.
-
-    Attributes:
-        slider: the slider's polygon, its vertices in the order of `slider_outline`.
-        moving: the artists that `move_to` changes.
-    """
-
-    def __init__(self, axes: Axes, motion: Motion) -> None:
-        self.motion = motion
-        bearing = motion.response.bearing
-        (self._plate, self._rims), self._body = plate_parts(motion), slider_outline(bearing)
-        steel: dict[str, Any] = {"facecolor": style.LIGHT_GREY, "edgecolor": style.GREY, "linewidth": 0.9}
-        ring: dict[str, Any] = {"facecolor": style.GREY, "edgecolor": style.GREY, "linewidth": 0.9}
-        axes.add_patch(Polygon(self._plate, **steel, zorder=2))
-        self._bottom_rims = [Polygon(outline, **ring, zorder=2.1) for outline in self._rims]
-        # Upper bodies are translucent: bodies overlap where contact springs are compressed.
-        self._top = Polygon(self._plate, **steel, alpha=0.8, zorder=3)
-        self._top_rims = [Polygon(outline, **ring, alpha=0.8, zorder=3.1) for outline in self._rims]
-        self.slider = Polygon(
-            self._body, facecolor=style.SKY_BLUE, edgecolor=style.BLUE, linewidth=1.0, alpha=0.9, zorder=4
-        )
-        self._arrow = Polygon([(0.0, 0.0)] * 3, facecolor=style.PURPLE, edgecolor="none", zorder=3)
-        for patch in (*self._bottom_rims, self._top, *self._top_rims, self.slider, self._arrow):
-            axes.add_patch(patch)
-        (self._axis,) = axes.plot([], [], color=style.BLUE, linewidth=0.8, linestyle="-.", zorder=4.1)
-        self._marks = [axes.plot([], [], **VERTEX_MARK, **mark)[0] for mark in VERTEX_MARKS]
-        bodies = [*self._bottom_rims, self._top, *self._top_rims, self.slider]
-        self.moving: list[Artist] = [*bodies, self._axis, *self._marks, self._arrow]
-        low, high = extent(motion)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        axes.set(xlabel="x [m]", ylabel="z [m]")
-        axes.grid(False)
-        below = self._arrow_height - 0.1 * bearing.slider_diameter
-        axes.text(0.0, below, "ground acceleration", fontsize=8, ha="center", va="top")
-
-    @property
-    def _arrow_height(self) -> float:
-        return -(PLATE_THICKNESS + 0.2) * self.motion.response.bearing.slider_diameter
-
-    def move_to(self, time: float) -> None:
-        """Show the state at a time [s], clipped to the simulated motion."""
-        q = self.motion.position(time)
-        self._top.set_xy(on_top_plate(self._plate, q))
-        arcs = self.motion.rims(time).tolist()
-        for patches, places in ((self._bottom_rims, arcs[:2]), (self._top_rims, arcs[2:])):
-            for patch, outline, arc, side in zip(patches, self._rims, places, (-1.0, 1.0), strict=False):
-                whole = math.isfinite(arc)
-                at = outline + np.array((side * arc if whole else 0.0, 0.0))
-                patch.set_xy(at if patches is self._bottom_rims else on_top_plate(at, q))
-                edge, line = (style.GREY, "-") if whole else (style.VERMILION, "--")
-                patch.set(fill=whole, edgecolor=edge, linestyle=line)
-        self.slider.set_xy(on_slider(self._body, q))
-        half = 0.5 * self.motion.response.bearing.slider_height
-        self._axis.set_data(*on_slider(np.array([(0.0, -half), (0.0, half)]), q).T)
-        vertices, states = slider_vertices(self.motion, q), np.array(vertex_states(self.motion, time))
-        for state, mark in enumerate(self._marks):
-            mark.set_data(*vertices[states == state].T)
-        self._arrow.set_xy(self._arrow_outline(time))
-
-    def _arrow_outline(self, time: float) -> Array:
-        """An arrow below the bottom plate, proportional to the ground acceleration, shape (7, 2)."""
-        bearing, pulse = self.motion.response.bearing, self.motion.response.pulse
-        share = float(self.motion.ground(np.array([time]))[0]) / max(pulse.peak, 1e-12)
-        length, half = 0.4 * bearing.dish_diameter * share, 0.03 * bearing.slider_diameter
-        neck = length - math.copysign(min(abs(length), 5.0 * half), length)
-        x = np.array((0.0, neck, neck, length, neck, neck, 0.0))
-        z = np.array((1.0, 1.0, 2.5, 0.0, -2.5, -1.0, -1.0)) * half
-        return np.column_stack((x, z + self._arrow_height))
-
-
-@style.styled()
-def plot_snapshots(response: Response) -> Figure:
-    """Draw the bearing at the moments of `instants`.
-
-    Raises:
-        InputError: if the response holds no motion.
-    """
-    motion, chosen = Motion(response), instants(response)
-    rows = math.ceil(len(chosen) / 2)
-    low, high = extent(motion)
-    panel_height = 4.8 * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
-    figure = titled_figure(response, width=10.5, height=1.75 + panel_height * rows)
-    panels = figure.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    for panel, (name, time) in zip(panels.flat, chosen.items(), strict=False):
-        drawing = BearingDrawing(panel, motion)
-        drawing.move_to(time)
-        panel.set_title(f"{name}, {seconds(time)}")
-        panel.label_outer()
-    for panel in panels.flat[len(chosen) :]:
-        panel.set_axis_off()
-    figure_legend(figure, panels[0, 0])
-    return figure
-
-
-def figure_legend(figure: Figure, axes: Axes) -> None:
-    """Add a legend of the vertex marks, with the note on the drawing, at the foot of the figure."""
-    handles, labels = axes.get_legend_handles_labels()
-    columns = len(labels)
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, title=FOOTNOTE, title_fontsize=8)

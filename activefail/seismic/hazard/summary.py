@@ -65,9 +65,6 @@ class HazardSummary:
             hazard: the hazard; its property bound applies.
             space: of a campaign, of which the pulses may lie outside.
             fixed: values of the bearing's variables; others are left out.
-
-        Raises:
-            InputError: as `activefail.seismic.hazard.hazard.check_applies` does.
         """
         spreads, correlation = _lognormal(hazard) if hazard.rows is None else _of_rows(hazard.rows)
         outside = None if space is None else _outside(hazard, space, fixed or {})

@@ -61,7 +61,6 @@ def analysis(
         begin: called with the largest number of simulations; returns a callback for finished ones.
 
     Raises:
-        InputError: naming the argument, the rule and the value.
         SimulationError: if no simulation of a campaign gives an outcome.
     """
     outcomes = subject.outcomes

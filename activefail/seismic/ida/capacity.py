@@ -116,11 +116,7 @@ class Agreement:
 
 
 def ladder(intensity: Intensity, highest: float | None = None) -> Array:
-    """The rising levels of the ladder, with equal ratios between them.
-
-    Raises:
-        InputError: if the highest level is not positive and finite.
-    """
+    """The rising levels of the ladder, with equal ratios between them."""
     top = intensity.highest if highest is None else highest
     if not 0.0 < top < np.inf:
         raise InputError(f"--to: must be positive and finite, got {top:g}.")

@@ -195,11 +195,7 @@ def predictions(
 
 
 def check_campaign(campaign: Campaign, values: Mapping[str, float], model: Model) -> None:
-    """Check that a campaign is one of this bearing under pulses.
-
-    Raises:
-        InputError: naming what differs.
-    """
+    """Check that a campaign is one of this bearing under pulses."""
     space, outcomes = campaign.space, tuple(campaign.simulator.outcomes)
     known = (*space.names, *space.fixed)
     if set(known) != set(TABLE_1.names) or not {"T_p", "A_p"} <= set(space.names) or outcomes != OUTCOMES:

@@ -21,11 +21,7 @@ _SHORTEST, _LONGEST = 0.25, 5.0
 
 @dataclass(frozen=True)
 class MarginOptions:
-    """What FEMA P695 needs besides the analysis.
-
-    Raises:
-        InputError: if a number is not positive.
-    """
+    """What FEMA P695 needs besides the analysis."""
 
     mce: float  # intensity of the maximum considered earthquake, in the unit of the analysis
     shape_factor: float = 1.0  # spectral shape factor; 1 changes nothing
@@ -212,9 +208,6 @@ def total_dispersion(ratings: str, ductility: float | None = None) -> float:
     Args:
         ratings: of design requirements, test data and model: three letters A to D, such as "B,B,C".
         ductility: period-based ductility μ_T.
-
-    Raises:
-        InputError: if the ratings are not three letters A to D.
     """
     letters = [letter.strip().upper() for letter in ratings.split(",")]
     if len(letters) != 3 or any(letter not in RATINGS for letter in letters):

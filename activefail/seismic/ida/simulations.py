@@ -70,11 +70,7 @@ class BearingSubject:
 
     @classmethod
     def of(cls, values: Values, model: Model, tolerance: Tolerance, threads: int | None) -> "BearingSubject":
-        """The bearing with these values of T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p and k.
-
-        Raises:
-            InputError: naming the file, the value and the rule.
-        """
+        """The bearing with these values of T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p and k."""
         names = TABLE_1.names[:7]
         if not isinstance(values, str | Path | Mapping):
             row = np.asarray(values, dtype=np.float64)
@@ -233,11 +229,7 @@ class CampaignSubject:
 
 
 def campaign_of(file: str | Path) -> tuple[str, Campaign]:
-    """Name and campaign of a campaign file, or of a shipped one, whose code is executed.
-
-    Raises:
-        InputError: naming the file, the key, the rule and the value.
-    """
+    """Name and campaign of a campaign file, or of a shipped one, whose code is executed."""
     file = campaign_file(Path(file))
     campaign = read_campaign(file, code=file.absolute().parent, features=False, frozen=True)  # no features are needed
     campaign.check_simulates()

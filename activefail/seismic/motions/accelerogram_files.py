@@ -37,7 +37,6 @@ from activefail.visible import visible
 _LARGEST = 200_000_000
 """Most bytes of a file."""
 
-_NUMBER = re.compile(NUMBER)
 _NUMBER_OR_NONE = re.compile(rf"{NUMBER}|[+-]?(?:nan|inf)\b", re.IGNORECASE)
 
 _WITH_POINT = re.compile(r"[+-]?(?:\d+\.\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
@@ -116,11 +115,7 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str | None = None, dt:
 
 
 def _check_outlier(values: np.ndarray) -> None:
-    """Check that the largest values are accelerations: not a mark of missing data, nor a number about the record.
-
-    Raises:
-        InputError: if they are far from all others.
-    """
+    """Check that the largest values are accelerations: not a mark of missing data, nor a number about the record."""
     size = np.abs(values)
     others = np.max(size, where=size < size.max(), initial=0.0)
     if size.max() > _FAR * others > 0.0:
@@ -160,11 +155,7 @@ def _doubts(record: Accelerogram) -> list[str]:
 
 
 def _text(path: Path) -> str:
-    """The text of a file up to an end mark of old systems.
-
-    Raises:
-        InputError: if it cannot be read, is no text, or has a format that is not read.
-    """
+    """The text of a file up to an end mark of old systems."""
     try:
         data = read_regular(path, _LARGEST, follow=True)
     except OSError as error:

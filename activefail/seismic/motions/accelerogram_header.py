@@ -227,11 +227,7 @@ def intervals(header: Lines) -> list[Stated]:
 
 
 def check_unit(header: Lines, unit: str) -> None:
-    """Check a unit that only an option states against units in the header.
-
-    Raises:
-        InputError: if there are such units, and none of them is this one.
-    """
+    """Check a unit that only an option states against units in the header."""
     found = []
     for line, text in header:
         plain = _in_symbols(text)
@@ -252,11 +248,7 @@ def _in_symbols(text: str) -> str:
 
 
 def check_option(header: Lines, dt: float) -> None:
-    """Check an interval [s] that only an option states against numbers of the header that may be one.
-
-    Raises:
-        InputError: if there are such numbers, and none of them is the interval.
-    """
+    """Check an interval [s] that only an option states against numbers of the header that may be one."""
     found = []
     for line, text in header:
         for match in () if _NO_INTERVAL.search(text) else _BARE_INTERVAL.finditer(text):
@@ -270,11 +262,7 @@ def check_option(header: Lines, dt: float) -> None:
 
 
 def check_peak(header: Lines, peak: float, unit: str) -> None:
-    """Check the largest acceleration of the samples [m/s2] against that of the header, in this unit if it names none.
-
-    Raises:
-        InputError: if they differ by a factor.
-    """
+    """Check the largest acceleration of the samples [m/s2] against that of the header, in this unit if it has none."""
     for line, text in header:
         for match in _PEAK.finditer(text):
             stated = abs(number_in(match[2])) * UNITS.get(unit_named(match[1] or match[3] or unit), 0.0)
@@ -331,9 +319,6 @@ def agreed(
         stated: what the header states.
         shown: a value in words.
         same: whether two values are the same.
-
-    Raises:
-        InputError: if two of them differ.
     """
     value = given
     for fact in stated:

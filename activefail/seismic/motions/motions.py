@@ -60,11 +60,7 @@ class Motions:
 
     @staticmethod
     def read(variable: str, place: str, unit: str | None, dt: float | None) -> RecordSet:
-        """The records of a set for a variable.
-
-        Raises:
-            InputError: naming the variable, and as `read_record_set` does.
-        """
+        """The records of a set for a variable."""
         with naming(f"space.{variable}.set: "):
             try:
                 return read_record_set(place, unit, dt)

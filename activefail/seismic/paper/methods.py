@@ -74,11 +74,7 @@ class GaussianProcessFit:
 
 
 def condition(F: Array, y: Labels, hyperparameters: SquaredExponentialPrior, method: Method) -> GaussianProcessFit:
-    """The approximate posterior of features, (n, m), and labels, (n,), for fixed hyperparameters.
-
-    Raises:
-        InputError: if shapes differ or a value is not finite.
-    """
+    """The approximate posterior of features, (n, m), and labels, (n,), for fixed hyperparameters."""
     check_labelled(F, y)
     K = gpml.covariance(F, F, hyperparameters)
     posterior = _POSTERIOR[method](K, hyperparameters.mean, _signs(y))
@@ -123,11 +119,7 @@ def evaluate(
 
 
 def train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
-    """Train on scaled features, (n, m), and labels, (n,): the best local maximum of the evidence over `STARTS`.
-
-    Raises:
-        InputError: if shapes differ, a value is not finite, or a class is missing.
-    """
+    """Train on scaled features, (n, m), and labels, (n,): the best local maximum of the evidence over `STARTS`."""
     check_labelled(F, y)
     if y.all() or not y.any():
         raise InputError(f"The training set must contain both classes, got {len(y)} labels of one.")

@@ -319,9 +319,6 @@ def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = l
         study: the results.
         out: folder of the page.
         stage: called when drawing begins.
-
-    Raises:
-        InputError: if a file cannot be written.
     """
     stage("drawing")
     trained = paper.typical_process(study)

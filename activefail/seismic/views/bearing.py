@@ -1,4 +1,4 @@
-"""A simulated bearing on pages: its bodies at four instants, a film of its motion, and the command that repeats it."""
+"""A simulated bearing on pages: its bodies at some moments, a film of its motion, and the command that repeats it."""
 
 import shlex
 from dataclasses import asdict, dataclass
@@ -7,14 +7,13 @@ import numpy as np
 from markupsafe import Markup
 
 from activefail.errors import InputError
-from activefail.pages.figures.svg import inline
 from activefail.pages.view import Picture
 from activefail.seismic.bearing import Response
 from activefail.seismic.bearing.design import TABLE_1, Model, Tolerance
 from activefail.seismic.bearing.motion import Motion, describe_outcome
-from activefail.seismic.figures.motion import plot_snapshots
+from activefail.seismic.figures.bodies import MARKS
 from activefail.seismic.simulator import DfpSimulator
-from activefail.seismic.views.film import film, fragment, histories
+from activefail.seismic.views.film import film, fragment, histories, stills
 from activefail.space.space import Array
 
 
@@ -24,18 +23,18 @@ class BearingView:
 
     simulator: DfpSimulator
 
-    legend = "Plates in grey, their rims dark, the slider blue; marks show the state of its corners."
+    legend = f"To scale: plates in grey, their rims dark, the slider blue. Marks at its corners: {MARKS}."
 
     def prepare(self, X: Array) -> None:
         """As `View.prepare`."""
         self.simulator.response(X)
 
     def picture(self, X: Array, name: str, of: str) -> Picture | None:
-        """As `View.picture`: the bearing at four instants."""
+        """As `View.picture`: the bearing at some moments."""
         response = self.simulator.response(X)
         if _motion(response) is None:
             return None
-        drawn = inline(plot_snapshots(response), name, f"Plates and slider of {of} at four instants")
+        drawn = stills(response, f"Plates and slider of {of} at some moments")
         return Picture(drawn, describe_outcome(response), self._terms(X))
 
     def panel(self, X: Array, width: float) -> Markup:

@@ -1,4 +1,4 @@
-"""The motion of one bearing for a page: a film, which is one drawing that the browser moves, and curves over time."""
+"""One bearing for a page: its bodies at some moments, a film, which the browser moves, and curves over time."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -9,15 +9,17 @@ from markupsafe import Markup
 
 from activefail.pages.explorer.pages import page
 from activefail.pages.figures.svg import inline, place_of
-from activefail.seismic.bearing.motion import Motion
-from activefail.seismic.figures.motion import (
+from activefail.seismic.bearing import Response
+from activefail.seismic.bearing.motion import Motion, instants, seconds
+from activefail.seismic.figures.bodies import (
     VERTEX_MARKS,
     extent,
     plate_parts,
-    plot_histories,
+    shapes,
     slider_outline,
     vertex_states,
 )
+from activefail.seismic.figures.motion import plot_histories
 from activefail.space.space import Array
 
 fragment = partial(page, package=__package__)
@@ -27,9 +29,6 @@ _FRAMES = 240
 
 _LONGEST = 10.0
 """A longer motion is sped up to so many seconds."""
-
-_SHAPES = {"o": "M-1,0a1,1 0 1 0 2,0a1,1 0 1 0 -2,0Z", "s": "M-1,-1h2v2h-2Z", "D": "M-1.3,0L0,1.3L1.3,0L0,-1.3Z"}
-"""Outlines of matplotlib's markers."""
 
 
 def film(motion: Motion) -> Markup:
@@ -62,13 +61,33 @@ def film(motion: Motion) -> Markup:
         corners=[
             (
                 corner,
-                _switched([_SHAPES[one["marker"]] for one in look]),
-                _switched([one["markerfacecolor"] for one in look]),
+                _switched([f"M{_rows(mark, 'L')}Z" for mark, _ in look]),
+                _switched([colour for _, colour in look]),
             )
             for corner, look in zip(corners.tolist(), looks, strict=True)
         ],
         arrow=[_arrow(share, width) for share in (ground / max(np.abs(ground).max(), 1e-12)).tolist()],
         ruler=next((length for length in (0.5, 0.2, 0.1) if length < 0.15 * width), 0.05),
+    )
+
+
+def stills(response: Response, alternative: str) -> Markup:
+    """The drawing at the moments of `instants`, two in a row, with a text for screen readers."""
+    motion = Motion(response)
+    low, high = (end.tolist() for end in extent(motion))
+    return fragment(
+        "stills",
+        alternative=alternative,
+        low=low,
+        high=high,
+        width=high[0] - low[0],
+        moments=[
+            (
+                f"{name}, {seconds(time)}",
+                [(_rows(outline, " "), *look) for outline, *look in shapes(motion, time)],
+            )
+            for name, time in instants(response).items()
+        ],
     )
 
 

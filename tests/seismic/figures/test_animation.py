@@ -1,17 +1,9 @@
 """Films of one bearing: files that play, and refusals that say what to do."""
 
-import re
-import shutil
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from patience import PATIENCE
 from PIL import Image
 
-from activefail.errors import ActivefailError, InputError
 from activefail.seismic.bearing import Bearing, Pulse, Response, simulate_one
 from activefail.seismic.bearing.design import GRAVITY
 from activefail.seismic.bearing.motion import Motion
@@ -39,7 +31,6 @@ def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
         assert film.n_frames == round(7.0 * (motion.end - motion.onset)) + 1
         assert film.n_frames > 10
         assert film.size[0] == 800
-        assert film.size[1] % 2 == 0
         durations = []
         for frame in range(film.n_frames):
             film.seek(frame)
@@ -50,24 +41,10 @@ def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
     assert path.stat().st_size < 1e6
 
 
-@pytest.mark.usefixtures("few_frames")
-def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path = save_animation(failure, tmp_path / "bearing.MP4")
-    raw = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    seen = subprocess.run(raw, capture_output=True, check=True, timeout=PATIENCE)
-    size = re.search(rb"Video: h264.* (\d+)x(\d+)", seen.stderr)
-    assert size is not None
-    width, height = int(size[1]), int(size[2])
-    count, rest = divmod(len(seen.stdout), width * height * 3)
+def test_frames_move_and_the_last_one_has_the_word_failure_in_red(failure):
     motion = Motion(failure)
-    assert (width, height % 2, rest) == (800, 0, 0)
-    assert count == pytest.approx(7.0 * (motion.end - motion.onset + HOLD), abs=2)
-
-
-def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
-    motion = Motion(failure)
-    first, middle, last = render(motion, np.array([motion.start, -0.4, motion.end]), 1.0)
+    times = np.array([motion.start, -0.4, motion.end])
+    first, middle, last = (np.asarray(frame) for frame in render(motion, times, 1.0))
     assert first.dtype == np.uint8
     assert first.shape == middle.shape == last.shape
     assert (first != middle).any(axis=2).mean() > 0.02
@@ -75,7 +52,8 @@ def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
     def vermilion(frame):
         return (np.abs(frame.astype(int) - (0xD5, 0x5E, 0x00)).max(axis=2) < 10).sum()
 
-    assert vermilion(last) > 1.2 * vermilion(first)
+    assert vermilion(first) == 0
+    assert vermilion(last) > 30
 
 
 def test_a_long_film_keeps_its_speed_and_loses_frames(failure, monkeypatch, tmp_path):
@@ -97,20 +75,3 @@ def test_the_speed_chosen_gives_a_film_of_at_most_twelve_seconds_or_real_time():
         assert factor >= 1.0
         assert factor * duration <= max(12.0, duration)
     assert MOST_FRAMES / 28.0 > 25.0
-
-
-def test_an_mp4_without_ffmpeg_is_refused_with_what_to_install(failure, tmp_path, monkeypatch):
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(InputError, match=r"pip install 'activefail\[video\]'"):
-        save_animation(failure, tmp_path / "bearing.mp4")
-
-
-@pytest.mark.usefixtures("few_frames")
-def test_an_ffmpeg_that_fails_is_reported_with_its_words(failure, tmp_path, monkeypatch):
-    broken = Path(tmp_path / "ffmpeg")
-    broken.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such encoder')\n")
-    broken.chmod(0o755)
-    monkeypatch.setattr(animation, "find_ffmpeg", lambda: str(broken))
-    with pytest.raises(ActivefailError, match="no such encoder"):
-        save_animation(failure, tmp_path / "bearing.mp4")

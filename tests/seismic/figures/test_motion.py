@@ -1,6 +1,7 @@
 """The pictures of one bearing show what the kernels compute."""
 
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,13 +13,16 @@ from matplotlib.figure import Figure
 from patience import PATIENCE
 
 from activefail.errors import InputError
+from activefail.pages.figures import style
 from activefail.seismic.bearing import Accelerogram, Bearing, Model, Pulse, Response, Tolerance, simulate_one
 from activefail.seismic.bearing.contact import gap
 from activefail.seismic.bearing.design import GRAVITY
 from activefail.seismic.bearing.dynamics import lever
-from activefail.seismic.bearing.motion import LONGEST_STEP, Motion
+from activefail.seismic.bearing.motion import LONGEST_STEP, Motion, instants
 from activefail.seismic.bearing.outcome import observe
+from activefail.seismic.figures import bodies as b
 from activefail.seismic.figures import motion as m
+from activefail.seismic.views.film import stills
 
 FAILING = Bearing.from_table(4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9)
 TOUCHING = Bearing.from_table(2.64, 0.106, 0.599, 0.7375, 0.1813, 56.4, 3.12e9)
@@ -62,10 +66,19 @@ def plotted() -> Callable[[Response], Figure]:
     return of
 
 
-def drawn(response: Response, time: float) -> m.BearingDrawing:
-    drawing = m.BearingDrawing(Figure().subplots(), Motion(response))
-    drawing.move_to(time)
-    return drawing
+def drawn(response: Response, time: float) -> list[b.Shape]:
+    return list(b.shapes(Motion(response), time))
+
+
+def slider(response: Response, time: float) -> np.ndarray:
+    """The outline of the drawn slider."""
+    (one,) = (shape for shape in drawn(response, time) if shape.fill == style.SKY_BLUE)
+    return one.outline
+
+
+def rims(shapes: list[b.Shape]) -> list[b.Shape]:
+    """The drawn rims: of the bottom plate, left and right, and of the top plate."""
+    return [shape for shape in shapes if len(shape.outline) == 4 and shape.fill in ("", style.GREY)]
 
 
 def words(figure: Figure) -> str:
@@ -183,61 +196,60 @@ def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_i
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9, 0.97, 1.0])
 def test_the_drawn_slider_has_its_vertices_where_the_kernels_have_them(failure, share):
     time = failure.t[0] + share * (failure.t[-1] - failure.t[0])
-    drawing = drawn(failure, time)
     motion = Motion(failure)
     q = motion.position(time)
-    corners = drawing.slider.get_xy()[[0, m.ARC_POINTS - 1, 2 * m.ARC_POINTS - 1, m.ARC_POINTS]]
+    corners = slider(failure, time)[[0, b.ARC_POINTS - 1, 2 * b.ARC_POINTS - 1, b.ARC_POINTS]]
     expected = [q[:2] + lever(motion.system, vertex, q[2]) for vertex in range(4)]
     np.testing.assert_allclose(corners, expected, rtol=0.0, atol=1e-12)
 
 
 def test_the_last_drawn_state_is_the_failing_one(failure):
-    drawing = drawn(failure, failure.t[-1] + 1.0)
-    q = failure.q[-1]
-    np.testing.assert_allclose(drawing.slider.get_xy()[:-1].mean(axis=0), q[:2], atol=1e-3)
-    assert m.vertex_states(drawing.motion, failure.t[-1]) == [m.LIFTED] * 4
+    last = failure.t[-1] + 1.0
+    np.testing.assert_allclose(slider(failure, last).mean(axis=0), failure.q[-1, :2], atol=1e-3)
+    assert b.vertex_states(Motion(failure), failure.t[-1]) == [b.LIFTED] * 4
+    assert sum(shape.fill == "#ffffff" for shape in drawn(failure, last)) == 4
 
 
 def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
     motion = Motion(simulate_one(FAILING, Pulse(0.5, 0.1)))
     plate = motion.system.bottom
-    outline = m.plate_outline(FAILING)
+    outline = b.plate_outline(FAILING)
     dish = outline[3:-3]
     assert max(abs(gap(u, w, plate)) for u, w in dish) < 1e-12
     assert dish[-1, 0] == pytest.approx(plate.rim_distance)
-    for rim in m.rim_outlines(FAILING):
+    for rim in b.rim_outlines(FAILING):
         assert np.abs(rim[:, 0]).min() == pytest.approx(plate.rim_distance)
         assert rim[:, 1].max() == pytest.approx(plate.rim_top)
     assert outline[:, 1].max() == pytest.approx(plate.rim_top)
 
 
 def test_a_rim_that_yields_is_drawn_further_out_a_broken_one_as_an_outline_and_an_absent_one_not_at_all():
-    def at_the_end(**rims) -> tuple[Response, m.BearingDrawing]:
-        response = simulate_one(FAILING, Pulse(2.5, 0.27 * GRAVITY), Model(**rims))
-        return response, drawn(response, response.t[-1])
+    def at_the_end(**settings) -> tuple[Response, list[b.Shape]]:
+        response = simulate_one(FAILING, Pulse(2.5, 0.27 * GRAVITY), Model(**settings))
+        return response, rims(drawn(response, response.t[-1]))
 
     strong, drawing = at_the_end(rim="yielding", rim_strength=0.6, rim_deformation=0.15)
     assert strong.outcome_name == "impact"
     edge = FAILING.dish_diameter / 2.0
-    (bottom_left, bottom_right), (top_left, _) = drawing._bottom_rims, drawing._top_rims
-    assert bottom_left.get_xy()[:, 0].max() == pytest.approx(-edge - strong.rims[-1, 0])
-    assert bottom_right.get_xy()[:, 0].min() == pytest.approx(edge + strong.rims[-1, 1])
-    assert top_left.get_xy()[:, 0].max() == pytest.approx(strong.q[-1, 3] - edge - strong.rims[-1, 2])
+    bottom_left, bottom_right, top_left, _ = (shape.outline for shape in drawing)
+    assert bottom_left[:, 0].max() == pytest.approx(-edge - strong.rims[-1, 0])
+    assert bottom_right[:, 0].min() == pytest.approx(edge + strong.rims[-1, 1])
+    assert top_left[:, 0].max() == pytest.approx(strong.q[-1, 3] - edge - strong.rims[-1, 2])
     assert strong.rims[-1].min() > 5e-3
     weak, drawing = at_the_end(rim="breaking", rim_strength=0.6)
     assert weak.cause_name == "rim_fracture"
-    assert [rim.get_fill() for rim in drawing._bottom_rims] == [False, True]
+    assert [bool(rim.fill) for rim in drawing[:2]] == [False, True]
     none, drawing = at_the_end(rim="none")
     assert none.cause_name == "escape"
-    assert drawing._bottom_rims == drawing._top_rims == []
-    assert m.OVER_RIM in m.vertex_states(Motion(none), none.t[-1])
+    assert drawing == []
+    assert b.OVER_RIM in b.vertex_states(Motion(none), none.t[-1])
     for response in (strong, weak, none):
         assert m.plot_response(response).axes
-        assert m.plot_snapshots(response).axes
+        assert stills(response, "a bearing").count("<text") == len(instants(response))
 
 
 def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
-    lower = m.slider_outline(FAILING)[: m.ARC_POINTS]
+    lower = b.slider_outline(FAILING)[: b.ARC_POINTS]
     x, z = lower.T
     centre = z.min() + FAILING.radius
     np.testing.assert_allclose(np.hypot(x, z - centre), FAILING.radius, rtol=1e-12)
@@ -246,10 +258,9 @@ def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
 def test_a_mirrored_pulse_gives_the_mirrored_picture(failure):
     mirrored = simulate_one(FAILING, Pulse(2.5, -0.5 * GRAVITY))
     time = failure.margins.first_touch_time
-    one = drawn(failure, time).slider.get_xy()[:-1]
-    other = drawn(mirrored, time).slider.get_xy()[:-1]
+    one, other = slider(failure, time), slider(mirrored, time)
     # Mirrored, each arc is run through the other way.
-    arcs = other.reshape(2, m.ARC_POINTS, 2)[:, ::-1].reshape(-1, 2) * (-1.0, 1.0)
+    arcs = other.reshape(2, b.ARC_POINTS, 2)[:, ::-1].reshape(-1, 2) * (-1.0, 1.0)
     np.testing.assert_allclose(arcs, one, rtol=0.0, atol=1e-4)
 
 
@@ -257,9 +268,9 @@ def test_the_vertices_that_press_on_a_rim_are_marked_while_a_rim_carries_force(f
     motion = Motion(failure)
     _, rims = motion.contacts(motion.steps)
     for time, rim in zip(motion.steps.tolist(), rims, strict=True):
-        states = m.vertex_states(motion, time)
-        assert (m.ON_RIM in states[:2]) == (rim[0] > 0.0)
-        assert (m.ON_RIM in states[2:]) == (rim[1] > 0.0)
+        states = b.vertex_states(motion, time)
+        assert (b.ON_RIM in states[:2]) == (rim[0] > 0.0)
+        assert (b.ON_RIM in states[2:]) == (rim[1] > 0.0)
 
 
 def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
@@ -267,25 +278,15 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
     response = simulate_one(bearing, Pulse(3.178, 0.618 * GRAVITY))
     motion = Motion(response)
     assert response.cause_name == "escape"
-    assert m.OVER_RIM in m.vertex_states(motion, response.t[-1])
-    assert m.OVER_RIM not in m.vertex_states(motion, response.t[-2])
+    assert b.OVER_RIM in b.vertex_states(motion, response.t[-1])
+    assert b.OVER_RIM not in b.vertex_states(motion, response.t[-2])
 
 
-def test_snapshots_show_rest_touch_the_way_and_the_end(failure, impact, no_impact):
-    names = [[panel.get_title(loc="left") for panel in m.plot_snapshots(r).axes] for r in (failure, impact, no_impact)]
-    assert [title.split(",")[0] for title in names[0]] == [
-        "at rest",
-        "first rim touch",
-        "half-way to failure",
-        "failure",
-    ]
-    assert [title.split(",")[0] for title in names[1]] == [
-        "at rest",
-        "first rim touch",
-        "largest uplift",
-        "end of the run",
-    ]
-    assert [title.split(",")[0] for title in names[2]][-1] == "end of the run"
+def test_stills_show_rest_touch_the_way_and_the_end(failure, impact, no_impact):
+    names = [re.findall(r"<text[^>]*>(.*?), t = ", stills(one, "a bearing")) for one in (failure, impact, no_impact)]
+    assert names[0] == ["at rest", "first rim touch", "half-way to failure", "failure"]
+    assert names[1] == ["at rest", "first rim touch", "largest uplift", "end of the run"]
+    assert names[2][-1] == "end of the run"
 
 
 def test_a_response_without_motion_is_refused_with_the_reason():
@@ -310,7 +311,7 @@ def test_drawing_leaves_the_users_settings_alone(failure):
         return {name: matplotlib.rcParams[name] for name in matplotlib.rcParams if not name.startswith("backend")}
 
     before = settings()
-    m.plot_snapshots(failure)
+    m.plot_histories(failure)
     assert settings() == before
 
 
