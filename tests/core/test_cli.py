@@ -1,7 +1,6 @@
 """The command line: every command does what its help says, and every mistake ends in one message, not a traceback."""
 
 import io
-import json
 import os
 import re
 import shlex
@@ -26,7 +25,6 @@ from commandline import (
     started,
     struck_as_by_a_terminal,
     table,
-    wait_for,
 )
 from patience import PATIENCE, Clock
 from pounding import copied, write_campaign
