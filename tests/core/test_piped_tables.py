@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cases import some
 from commandline import CommandResult, activefail, refused, table
+from pounding import write_campaign
 
 import activefail as af
 from activefail.errors import InputError
@@ -341,9 +342,8 @@ def test_a_display_on_a_terminal_says_it_too(tmp_path: Path, monkeypatch: pytest
 
 
 def test_with_several_target_boundaries_each_is_named_with_its_share(tmp_path: Path) -> None:
-    (tmp_path / "both.toml").write_text(
-        "sampling = { initial = 2, budget = 2 }\nacquisition.boundary = { failure = 3, impact = 1 }\n"
-    )
+    text = "sampling = { initial = 2, budget = 2 }\nacquisition.boundary = { failure = 3, impact = 1 }\n"
+    write_campaign(tmp_path / "both.toml", text)
     result = activefail("run", tmp_path / "both.toml", "--out", tmp_path / "run")
     assert result.out.splitlines()[0] == (
         "seeking    the boundary of failure (75 %) and the boundary of impact (25 %) "

@@ -1,7 +1,11 @@
 """The plug-in's packages and names are those of activefail too."""
 
+import ast
 import subprocess
 import sys
+from pathlib import Path
+
+import activefail as package
 
 ALIAS = """
 import pickle
@@ -35,3 +39,9 @@ for missing in ("activefail.bearing.nothing", "activefail.nothing"):
 def test_a_package_of_a_plug_in_is_the_same_under_its_short_name() -> None:
     done = subprocess.run([sys.executable, "-c", ALIAS], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_type_checkers_know_the_public_names_and_no_others() -> None:
+    stub = ast.parse(Path(package.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    names = [name.asname for one in stub.body if isinstance(one, ast.ImportFrom) for name in one.names]
+    assert sorted(map(str, names)) == sorted([*package.__all__, "__version__"])

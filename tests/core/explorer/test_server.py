@@ -236,15 +236,20 @@ def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad
     assert ask(abroad, "predict", FORM, Cookie=kept).status == 200
 
 
+def cookie_behind_a_proxy(server: ExplorerServer, path: str, design: dict[str, object] = FORM) -> str:
+    """The cookie of a page behind a proxy, whose addresses are relative, and which gets answers."""
+    answer = request(server, path=f"{path}?token={server.token}", Host="hub.example")
+    assert (answer.status, answer.headers["Location"]) == (303, f".{path}")
+    cookie = answer.headers["Set-Cookie"].split(";")[0]
+    text = request(server, path=path, Host="hub.example", Cookie=cookie).text
+    assert not re.findall(r"""(?:href|src)="/""", text)
+    origin = {"Origin": "https://hub.example", "Host": "hub.example", "Cookie": cookie}
+    assert ask(server, "predict", design, **origin).status == 200
+    return cookie
+
+
 def test_behind_a_proxy_that_adds_a_path_and_another_name_all_addresses_are_relative(tokened):
-    for path in ("/", "/design"):
-        answer = request(tokened, path=f"{path}?token={tokened.token}", Host="hub.example")
-        assert (answer.status, answer.headers["Location"]) == (303, f".{path}")
-        cookie = answer.headers["Set-Cookie"].split(";")[0]
-        text = request(tokened, path=path, Host="hub.example", Cookie=cookie).text
-        assert not re.findall(r"""(?:href|src)="/""", text)
-        origin = {"Origin": "https://hub.example", "Host": "hub.example", "Cookie": cookie}
-        assert ask(tokened, "predict", FORM, **origin).status == 200
+    cookie = cookie_behind_a_proxy(tokened, "/")
     text = request(tokened, path="/page.js", Cookie=cookie).text
     assert not re.findall(r"""(?:fetch\(|from )["'`]/""", text)
     assert request(tokened, Host="hub.example").status == 403

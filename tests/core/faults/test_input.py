@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.variables import Choices, FixedVariable, SetVariable, Variable
 from activefail.space.expressions import FUNCTIONS, parsed_name
 from activefail.visible import visible
 
@@ -146,7 +147,8 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
     survived()
 
 
-NO_NAMES = ("python", "command", "expressions", "value")
+OF_VARIABLES = {key for kind in (Variable, Choices, SetVariable, FixedVariable) for key in kind.model_fields}
+NO_NAMES = {"python", "command", "expressions", *OF_VARIABLES}
 """Names of keys that are known in some tables only."""
 
 

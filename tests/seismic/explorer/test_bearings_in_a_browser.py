@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from explorer.bearings import form
-from explorer.conftest import there
+from explorer.conftest import served, site_of, there, tunnel
 from explorer.test_answers import place_in
 from explorer.test_explorer_in_a_browser import Explorer
 from patience import until
@@ -103,3 +103,14 @@ def test_every_control_of_a_simulation_is_reached_by_the_tab_key_and_has_a_name(
     for control in visitor.driver.find_elements("css selector", "button, select, input"):
         if control.is_displayed():
             assert control.accessible_name
+
+
+@pytest.mark.parametrize("prefix", ["", "/user/ann/proxy/8050"])
+def test_through_a_tunnel_on_another_port_and_a_proxy_with_a_path_the_page_design_opens(driver, findings, prefix):
+    fresh(driver, 1400, 1000)
+    with served(site_of(findings), needs_token=True) as running, tunnel(running.server_address[1], prefix) as port:
+        address = f"http://localhost:{port}{prefix}/"
+        driver.get(f"{address}?token={running.token}")
+        driver.get(f"{address}design")
+        until(lambda: driver.find_elements("css selector", "h1"), "the page Design")
+        driver.get("about:blank")

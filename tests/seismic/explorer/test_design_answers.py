@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from campaign.stub import Disc, disc
+from explorer.bearings import form
 from explorer.conftest import findings_in, served, site_of
-from explorer.test_server import ask, request
+from explorer.test_server import ask, cookie_behind_a_proxy, request
 from patience import PATIENCE, until
 
 from activefail.analyses.classifier_probability import classifier_probability
@@ -208,6 +209,12 @@ def test_beyond_this_machine_the_page_needs_the_token_too(findings):
         assert ask(abroad, "verify", REQUEST).status == 403
         answer = request(abroad, path=f"/design?token={abroad.token}")
         assert (answer.status, answer.headers["Location"]) == (303, "./design")
+
+
+def test_behind_a_proxy_that_adds_a_path_all_addresses_of_the_page_are_relative(findings):
+    design = form([4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5])
+    with served(site_of(findings), "127.0.0.1", needs_token=True) as server:
+        cookie_behind_a_proxy(server, "/design", design)
 
 
 def test_one_verification_runs_at_a_time_and_ends_when_it_is_stopped_or_the_server_ends(findings, monkeypatch):
