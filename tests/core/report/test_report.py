@@ -25,6 +25,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.estimates.scores import Recall, Score
 from activefail.execution.local import ThreadExecutor
 from activefail.learning.model.threads import one_thread
+from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.loop.progress import Observer
 from activefail.loop.running import run
@@ -421,10 +422,10 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
     plane = outcome_planes.Plane(0, 1, third, (12000.0, 15000.0, 18000.0))
     F = 1e5 * rng.random((40, 3))
     c = outcome_planes.Coordinates(names, F, F.mean(axis=0), predicted, [plane], lambda *_: 1500.0)
+    outcome, none = rng.integers(0, len(outcomes), 40).astype(np.int8), np.zeros(40)
     findings = SimpleNamespace(
         campaign=SimpleNamespace(simulator=SimpleNamespace(outcomes=outcomes)),
-        answered=np.ones(40, dtype=bool),
-        outcome=rng.integers(0, len(outcomes), 40).astype(np.int8),
+        history=History.of_sample(F, Results(outcome, none.astype(np.int8), np.empty((40, 0)), none)),
         beyond=outcomes[-1],
     )
     for figure in outcome_planes.plot_outcome_planes(plane, c, findings):
