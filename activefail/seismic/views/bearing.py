@@ -23,7 +23,10 @@ class BearingView:
 
     simulator: DfpSimulator
 
-    legend = f"To scale: plates in grey, their rims dark, the slider blue. Marks at its corners: {MARKS}."
+    legend = (
+        "To scale: plates in grey, their rims dark, the slider blue; the arrow is the ground acceleration. Marks at "
+        f"the slider's corners: {MARKS}."
+    )
 
     def prepare(self, X: Array) -> None:
         """As `View.prepare`."""

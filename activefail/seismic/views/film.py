@@ -67,7 +67,7 @@ def film(motion: Motion) -> Markup:
             for corner, look in zip(corners.tolist(), looks, strict=True)
         ],
         arrow=[_arrow(share, width) for share in (ground / max(np.abs(ground).max(), 1e-12)).tolist()],
-        ruler=next((length for length in (0.5, 0.2, 0.1) if length < 0.15 * width), 0.05),
+        ruler=_ruler(width),
     )
 
 
@@ -81,6 +81,7 @@ def stills(response: Response, alternative: str) -> Markup:
         low=low,
         high=high,
         width=high[0] - low[0],
+        ruler=_ruler(high[0] - low[0]),
         moments=[
             (
                 f"{name}, {seconds(time)}",
@@ -89,6 +90,11 @@ def stills(response: Response, alternative: str) -> Markup:
             for name, time in instants(response).items()
         ],
     )
+
+
+def _ruler(width: float) -> float:
+    """The length of the bar that shows the scale of a drawing [m]."""
+    return next((length for length in (0.5, 0.2, 0.1) if length < 0.15 * width), 0.05)
 
 
 def _rim(outline: Array, side: int, arc: Array) -> dict[str, Any]:
