@@ -33,6 +33,7 @@ from activefail.pages.figures import curves, outcome_planes, samples, svg
 from activefail.pages.figures.axes import outcome_colour
 from activefail.pages.report import environment, evidence, page
 from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results
 from activefail.space.parameter import Parameter
 from activefail.space.shares import significant
 from activefail.text.quantities import custom_quantity, plain, quantity
