@@ -1,5 +1,6 @@
 """What `activefail doctor` says of the simulator of bearings."""
 
+import importlib.metadata
 import json
 
 import numpy as np
@@ -10,11 +11,13 @@ from test_doctor import lines
 from activefail.seismic import bearing
 
 
-def test_the_kernels_are_named_and_the_simulator_passes_its_test() -> None:
+def test_the_kernels_and_every_extra_for_users_are_named_and_the_simulator_passes_its_test() -> None:
     result = activefail("doctor")
     assert result.code == 0, result.out
     found = lines(result.out)
     assert "kernels" in found
+    extras = {*importlib.metadata.metadata("activefail").get_all("Provides-Extra")} - {"dev", "docs"}
+    assert extras <= found.keys()
     assert "the right outcomes" in found["simulator"]
 
 
