@@ -100,29 +100,29 @@ def test_github_and_git_run_what_the_documentation_names_on_every_python_that_th
 
 
 RUN = {
-    "docs/classifier.md": "test_custom_learner.py",
-    "README.md": "test_docs.py",
-    "docs/building.md": "test_building.py",
-    "docs/design.md": "test_docs.py",
-    "docs/fragility.md": "test_docs.py",
-    "docs/hazard.md": "test_docs.py",
-    "docs/reference/python.md": "test_docs.py",
-    "docs/sensitivity.md": "test_docs.py",
-    "docs/tutorials/custom_simulator.md": "test_docs.py",
-    "docs/tutorials/first_design.md": "test_docs.py",
-    "docs/which.md": "test_docs.py",
-    "docs/guide.md": "test_docs.py",
-    "docs/cluster.md": "test_code_in_docs.py",
-    "docs/distributions.md": "test_code_in_docs.py",
-    "docs/probability.md": "test_code_in_docs.py",
-    "docs/plugins.md": "test_plugins.py",
-    "docs/records.md": "test_code_in_docs.py",
+    "docs/classifier.md": "core/test_custom_learner.py",
+    "README.md": "seismic/test_docs.py",
+    "docs/building.md": "seismic/test_building.py",
+    "docs/design.md": "seismic/test_docs.py",
+    "docs/fragility.md": "seismic/test_docs.py",
+    "docs/hazard.md": "seismic/test_docs.py",
+    "docs/reference/python.md": "seismic/test_docs.py",
+    "docs/sensitivity.md": "seismic/test_docs.py",
+    "docs/tutorials/custom_simulator.md": "seismic/test_docs.py",
+    "docs/tutorials/first_design.md": "seismic/test_docs.py",
+    "docs/which.md": "seismic/test_docs.py",
+    "docs/guide.md": "seismic/test_docs.py",
+    "docs/cluster.md": "seismic/test_code_in_docs.py",
+    "docs/distributions.md": "seismic/test_code_in_docs.py",
+    "docs/probability.md": "seismic/test_code_in_docs.py",
+    "docs/plugins.md": "core/test_plugins.py",
+    "docs/records.md": "seismic/test_code_in_docs.py",
 }
 """The test file that runs or reads the blocks of a page. Of other blocks:
 
 - Blocks without a language are output, or commands; the commands are parsed above.
 - Indented commands are parsed above. `make paper`, `make test` and `make docs` are what `.ci/run` and
-  `tests/test_site.py` run; `pip install` and environments of other programs need a network.
+  `tests/seismic/test_site.py` run; `pip install` and environments of other programs need a network.
 - The Python of docs/cluster.md starts jobs of a queue: it is compiled, not run.
 """
 

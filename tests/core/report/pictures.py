@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import ModuleType
 
 import pytest
 from matplotlib.figure import Figure
@@ -13,11 +12,11 @@ _SLOW = ((page, "plot_pairs"), (page, "plot_outcome_planes"))
 
 
 @contextmanager
-def slow_pictures_empty(*more: tuple[ModuleType, str]) -> Iterator[None]:
+def slow_pictures_empty() -> Iterator[None]:
     """Leave those pictures of a campaign empty that take most of a page's time, for a claim about other parts of it."""
     empty = Figure()
     empty.subplots()
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in (*_SLOW, *more):
+        for module, name in _SLOW:
             patch.setattr(module, name, lambda *_, name=name: [empty] if name == "plot_outcome_planes" else empty)
         yield

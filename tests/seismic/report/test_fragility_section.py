@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from commandline import activefail, refused, sets
-from report.bearings import slow_pictures_of_bearings_empty
 from report.browser import browser, console_errors, photograph, screenshots
+from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
 
 from activefail.analyses.design.design_task import Requirement
@@ -84,7 +84,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plain(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The report, before anything was verified."""
     page = tmp_path_factory.mktemp("plain") / "page.html"
-    with slow_pictures_of_bearings_empty():
+    with slow_pictures_empty():
         result = activefail(
             "report", ended / "run", "--hazard", ended / "site.toml", "--bearing", ended / "bearing.toml", "--out", page
         )
@@ -139,7 +139,7 @@ def test_the_report_shows_fragility_and_what_the_risk_categories_require(plain: 
 def shown(verified: Path) -> Path:
     """The report after the verifications; writing it simulated nothing."""
     before = sets(verified / "run")
-    with slow_pictures_of_bearings_empty():
+    with slow_pictures_empty():
         (verified / "shown.html").write_text(reported(verified))
     assert sets(verified / "run") == before
     return verified / "shown.html"

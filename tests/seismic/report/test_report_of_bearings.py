@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import some
-from report.bearings import settings, slow_pictures_of_bearings_empty
+from report.bearings import settings
+from report.pictures import slow_pictures_empty
 from report.test_report import TINY, Page, made, ran, self_contained
 
 from activefail.analyses.findings import quantities
@@ -65,7 +66,7 @@ def test_the_length_scales_in_the_page_of_a_bearing_are_the_classifier_s(html, f
 def test_other_features_of_the_bearing_have_a_page_too(features, empty, tmp_path):
     campaign = settings(features, budget=20, description="other features")
     ran(tmp_path / "run", campaign)
-    drawn = slow_pictures_of_bearings_empty() if empty else nullcontext()
+    drawn = slow_pictures_empty() if empty else nullcontext()
     with drawn, open_campaign(tmp_path / "run", write=False) as (campaign, store):
         parsed = self_contained(made(campaign, tmp_path / "run", store))
     assert "There are no active designs yet" in parsed.text
