@@ -86,6 +86,30 @@ def scaled_kernel(
     return gpytorch.kernels.ScaleKernel(base, outputscale_constraint=positive, outputscale_prior=prior).double()
 
 
+class Sloped(gpytorch.kernels.ScaleKernel):
+    """A scaled kernel plus the kernel of a linear trend, whose slopes have one variance: that of `slope`."""
+
+    def __init__(self, of: gpytorch.kernels.ScaleKernel) -> None:
+        super().__init__(of.base_kernel, outputscale_constraint=of.raw_outputscale_constraint)
+        self.register_parameter("raw_slope", torch.nn.Parameter(torch.zeros(())))
+        self.register_constraint("raw_slope", gpytorch.constraints.Positive(**POSITIVE))
+        self.double()
+
+    @property
+    def slope(self) -> Tensor:
+        """Variance of the slopes."""
+        return torch.as_tensor(self.raw_slope_constraint.transform(self.raw_slope))
+
+    @slope.setter
+    def slope(self, value: float) -> None:
+        self.initialize(raw_slope=self.raw_slope_constraint.inverse_transform(torch.as_tensor(value).double()))
+
+    def forward(self, x1: Tensor, x2: Tensor, diag: bool = False, **params: Any) -> Tensor:
+        """Covariances of features, (..., n, m) and (..., l, m) -> (..., n, l)."""
+        linear = (x1 * x2).sum(-1) if diag else x1 @ x2.mT
+        return torch.as_tensor(super().forward(x1, x2, diag=diag, **params) + self.slope * linear)
+
+
 def _is_built_in(kernel: gpytorch.kernels.Kernel) -> bool:
     return isinstance(kernel, gpytorch.kernels.ScaleKernel) and isinstance(kernel.base_kernel, _BuiltIn)
 
@@ -126,13 +150,23 @@ class Prior(gpytorch.Module):
         """k(F, G), (n, l) of features, (n, m) and (l, m)."""
         G, kernel = F if G is None else G, self.covar_module
         if _is_built_in(kernel):  # without GPyTorch's lazy tensors, which take a third of a millisecond
-            return torch.as_tensor(kernel.base_kernel.forward(F, G) * kernel.outputscale)
+            K = kernel.base_kernel.forward(F, G) * kernel.outputscale
+            return torch.as_tensor(K + kernel.slope * (F @ G.mT) if isinstance(kernel, Sloped) else K)
         return torch.as_tensor(kernel(F, G).to_dense())
 
     def variance(self, F: Tensor) -> Tensor:
         """k(f, f), (n,)."""
         kernel = self.covar_module
-        return kernel.outputscale.expand(len(F)) if _is_built_in(kernel) else torch.as_tensor(kernel(F, diag=True))
+        if not _is_built_in(kernel):
+            return torch.as_tensor(kernel(F, diag=True))
+        stationary = kernel.outputscale.expand(len(F))
+        return torch.as_tensor(
+            stationary + kernel.slope * F.square().sum(-1) if isinstance(kernel, Sloped) else stationary
+        )
+
+    def typical_variance(self, dimension: int) -> Tensor:
+        """k(f, f), a scalar, of a point whose features, (dimension,), all lie a standard deviation from their means."""
+        return self.variance(torch.ones((1, dimension), dtype=torch.float64))[0]
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:

@@ -25,8 +25,8 @@ from activefail.learning.model.boundary_gp import BoundaryModel, SiteStrategy, j
 from activefail.learning.model.censored import CensoredSites, censored_posterior, first_sites
 from activefail.learning.model.covariance import NUGGET
 from activefail.learning.model.inducing import choose
-from activefail.learning.model.kernels import LEARNED_ON, POSITIVE, Bounds, Prior, minimise, scaled_kernel
-from activefail.learning.model.margin_data import KERNEL, NOISE, WARPINGS, MarginData, is_truncated, spread
+from activefail.learning.model.kernels import LEARNED_ON, POSITIVE, Bounds, Prior, Sloped, minimise, scaled_kernel
+from activefail.learning.model.margin_data import KERNEL, NOISE, SLOPE, WARPINGS, MarginData, is_truncated, spread
 from activefail.learning.model.moments import Moments, margin_moments
 from activefail.learning.model.readout import EXACT, MarginReadout, Readout, margin_readout
 from activefail.space.space import Array
@@ -82,7 +82,7 @@ class MarginFit:
     @cached_property
     def jitter(self) -> float:
         """Variance that stands for the finite accuracy of a warped margin."""
-        return NUGGET * float(self.prior.variance(self._one).detach())
+        return NUGGET * float(self.prior.typical_variance(self.data.features.shape[1]).detach())
 
     @property
     def noise(self) -> float:
@@ -232,7 +232,8 @@ def margin_prior(dimension: int, repeatable: bool = True) -> Prior:
     noise = None
     if not repeatable:
         noise = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive(**POSITIVE))
-    prior = Prior(scaled_kernel(KERNEL, dimension, (center, 1.0), None), None if noise is None else noise.double(), {})
+    kernel = Sloped(scaled_kernel(KERNEL, dimension, (center, 1.0), None))
+    prior = Prior(kernel, None if noise is None else noise.double(), {})
     prior.covar_module.base_kernel.initialize(lengthscale=math.exp(center))
     return prior
 
@@ -253,24 +254,20 @@ def penalised_likelihood(
     mean, K = prior.mean_module(F[:1]), prior.covariance(F)
     with_nugget = K.detach().numpy().copy()
     n = len(y)
-    noise = () if prior.likelihood is None else (prior.likelihood.noise,)
-    # In units of the prior variance, so that any kernel has one.
-    with_nugget[np.diag_indices(n)] += float(noise[0].detach()) if noise else NUGGET * with_nugget.diagonal().mean()
+    nugget = NUGGET * prior.typical_variance(F.shape[1]) if prior.likelihood is None else prior.likelihood.noise
+    with_nugget[np.diag_indices(n)] += float(nugget.detach())
     value, sites, L, b = _conditioned(with_nugget, y, censored, float(mean.detach()), sites)
     # At the sites' fixed point the likelihood changes with K as that of Gaussian observations does.
     by_K = 0.5 * (np.outer(b, b) - _inverse(L))
-    by_noise = float(np.trace(by_K))
-    if not noise:
-        by_K[np.diag_indices(n)] += NUGGET * by_noise / n
     log_density = prior.log_density()
     gradient = torch.autograd.grad(
-        (mean, K, log_density, *noise),
+        (mean, K, log_density, nugget),
         list(prior.parameters()),
         (
             torch.full_like(mean, float(b.sum())),
             torch.from_numpy(by_K),
             torch.ones_like(log_density),
-            *(torch.full_like(one, by_noise) for one in noise),
+            torch.full_like(nugget, float(np.trace(by_K))),
         ),
     )
     return value + float(log_density.detach()), list(gradient), sites
@@ -374,7 +371,7 @@ def _fit_warped(
     scale = max(float(exact_y.std()), 1e-3)
     prior = margin_prior(features.shape[1], repeatable) if warm is None else copy.deepcopy(warm.prior)
     prior.mean_module.initialize(constant=float(exact_y.mean()))
-    prior.covar_module.initialize(outputscale=(2.0 * scale) ** 2)
+    prior.covar_module.initialize(outputscale=(2.0 * scale) ** 2, slope=scale**2 / features.shape[1])
     if not repeatable:
         prior.likelihood.initialize(noise=_FIRST_NOISE * scale**2)
     sites, value = first_sites(censored, scale), math.nan
@@ -389,6 +386,7 @@ def _fit_warped(
         "mean_module.raw_constant": (float(exact_y.min()) - 20.0 * scale, float(exact_y.max()) + 3.0 * scale),
         "covar_module.raw_outputscale": (log_variance - 4.0, log_variance + 14.0),
         "covar_module.base_kernel.raw_lengthscale": (-4.0, 8.0),
+        SLOPE: (log_variance - 14.0, log_variance + 14.0),
         NOISE: (log_variance - 14.0, log_variance + 2.0),
     }
     prior.requires_grad_(True)

@@ -18,6 +18,9 @@ KERNEL = "matern52"
 NOISE = "likelihood.noise_covar.raw_noise"
 """The parameter of a prior that is the logarithm of the noise's variance, where the simulator does not repeat."""
 
+SLOPE = "covar_module.raw_slope"
+"""The parameter of a prior that is the logarithm of the variance of its linear trend's slopes."""
+
 WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "none": (lambda g: g, np.zeros_like),
     "asinh": (np.arcsinh, lambda g: -0.5 * np.log1p(g * g)),

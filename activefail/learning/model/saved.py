@@ -15,7 +15,7 @@ from activefail.learning.features import FeatureMap
 from activefail.learning.model.censored import CensoredSites
 from activefail.learning.model.covariance import JITTER, NUGGET, correlation
 from activefail.learning.model.margin_choice import OUTCOMES, Choice, LearnableMargins, defined, learned_with, level_of
-from activefail.learning.model.margin_data import KERNEL, NOISE, WARPINGS, MarginData
+from activefail.learning.model.margin_data import KERNEL, NOISE, SLOPE, WARPINGS, MarginData
 from activefail.learning.model.moments import Moments, Predicted, in_parts, margin_moments, predicted, system_moments
 from activefail.learning.model.readout import Readout, Trend, margin_readout, readout_of
 from activefail.space.space import Array
@@ -54,18 +54,20 @@ def of_any_version(state: State) -> State:
 
 @dataclass(frozen=True)
 class SavedPrior:
-    """A constant mean and a built-in kernel.
+    """A constant mean, a built-in kernel and, of a margin, a linear trend.
 
     Attributes:
         kernel: as for `covariance.correlation`.
-        mean, variance: of the latent.
+        mean, variance: of the latent, without the trend.
         length_scales: (m,).
+        slope: variance of the trend's slopes.
     """
 
     kernel: str
     mean: float
     variance: float
     length_scales: Array
+    slope: float = 0.0
 
     @classmethod
     def of(cls, kernel: str, state: State, name: str) -> "SavedPrior":
@@ -76,16 +78,23 @@ class SavedPrior:
             "covar_module.base_kernel.raw_lengthscale",
         )
         mean, log_variance, log_scales = (state[f"{name}/{parameter}"] for parameter in parameters)
+        log_slope = state.get(f"{name}/{SLOPE}", np.array(-np.inf))  # only a margin has one
         with np.errstate(over="raise"):
-            np.exp(2.0 * np.append(log_scales[0], log_variance))  # every scale is a number
-        return cls(kernel, float(mean), float(np.exp(log_variance)), np.exp(log_scales[0]))
+            np.exp(2.0 * np.append(log_scales[0], [float(log_variance), float(log_slope)]))  # every scale is a number
+        return cls(kernel, float(mean), float(np.exp(log_variance)), np.exp(log_scales[0]), float(np.exp(log_slope)))
 
     def covariance(self, F: Array, G: Array, jitter: float | None = None) -> Array:
         """k(F, G), (n, l), with a jitter on its diagonal."""
         K = self.variance * correlation(self.kernel, F / self.length_scales, G / self.length_scales)[0]
+        if self.slope:
+            K += self.slope * (F @ G.T)
         if jitter is not None:
             K[np.diag_indices(len(K))] += jitter
         return K
+
+    def variances(self, F: Array) -> Array:
+        """k(f, f), (n,)."""
+        return np.asarray(self.variance + self.slope * np.square(F).sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -121,7 +130,7 @@ class SavedLatent:
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
         shrunk = k @ self.readout.root.T
-        variance = self.prior.variance + self.added - np.einsum("ij,ij->i", shrunk, shrunk)
+        variance = self.prior.variances(F) + self.added - np.einsum("ij,ij->i", shrunk, shrunk)
         if self.trend is not None:
             variance += (1.0 - k @ self.trend.ones) ** 2 / self.trend.total
         return self.prior.mean + k @ self.readout.weights, np.sqrt(np.maximum(variance, self.added))
@@ -225,12 +234,12 @@ def _of_outcomes(state: State, name: str, kernel: str, F: Array) -> SavedLatent:
 
 def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
     prior, data = SavedPrior.of(KERNEL, state, name), margin_data_of(state, name, F, margin)
-    jitter, log_noise, support = NUGGET * prior.variance, state.get(f"{name}/{NOISE}"), data.support
+    jitter = NUGGET * float(prior.variances(np.ones((1, F.shape[1])))[0])
+    log_noise, support = state.get(f"{name}/{NOISE}"), data.support
     noise = jitter if log_noise is None else float(np.exp(log_noise[0]))
     Kx = None if data.inducing is None else prior.covariance(support, data.points)
-    variance = np.full(len(data.points), prior.variance)
     K, observed = prior.covariance(support, support), data.observed(noise)
-    readout, trend, _ = margin_readout(K, Kx, variance, prior.mean, *observed, jitter)
+    readout, trend, _ = margin_readout(K, Kx, prior.variances(data.points), prior.mean, *observed, jitter)
     sd = 0.0 if log_noise is None else float(np.sqrt(noise))
     normality = float(state.get(f"{name}/normality", math.nan))
     return SavedLatent(prior, support, readout, trend, noise, data, noise=sd, normality=normality)

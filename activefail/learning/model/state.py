@@ -15,7 +15,7 @@ from activefail.learning.model.kernels import Prior
 from activefail.learning.model.latent import CustomLatent, CustomModel, Latent, Learner, VariationalGP
 from activefail.learning.model.margin import MarginFit, MarginLatent, margin_prior
 from activefail.learning.model.margin_choice import LearnableMargins
-from activefail.learning.model.margin_data import WARPINGS
+from activefail.learning.model.margin_data import SLOPE, WARPINGS
 from activefail.learning.model.saved import (
     SCALING,
     State,
@@ -29,6 +29,9 @@ from activefail.learning.model.saved import (
 from activefail.learning.model.sites import Sites
 from activefail.learning.model.system import AnyLatent, SystemLatent
 from activefail.space.space import Array
+
+_FLAT = np.array(-np.inf)
+"""Logarithm of the variance of a trend's slopes, without a trend."""
 
 
 def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
@@ -137,7 +140,9 @@ def _set(prior: Prior, state: State, name: str) -> Prior:
     """The prior with the parameters of a state."""
     with torch.no_grad():
         for key, parameter in prior.named_parameters():
-            parameter.copy_(torch.from_numpy(state[f"{name}/{key}"]))
+            # A regression of a former version has no trend.
+            value = state.get(f"{name}/{key}", _FLAT) if key == SLOPE else state[f"{name}/{key}"]
+            parameter.copy_(torch.from_numpy(value))
     prior.requires_grad_(False)
     if prior.length_scales is not None:
         scales = np.append(prior.length_scales, prior.covar_module.outputscale.numpy())

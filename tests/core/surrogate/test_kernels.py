@@ -9,6 +9,7 @@ from scipy.stats import norm
 from surrogate.labelled import points, prior
 
 from activefail.learning.model.fitting import outcome_prior
+from activefail.learning.model.margin import margin_prior
 
 STOCK = {"rbf": gpytorch.kernels.RBFKernel, "matern52": gpytorch.kernels.MaternKernel}
 SCALES = torch.tensor([0.67, 2.5, 1.1], dtype=torch.float64)
@@ -48,6 +49,22 @@ def test_derivatives_by_the_features_are_gpytorchs(kernel):
     F, G = points(6, 3)[0].requires_grad_(), points(5, 3, seed=2)[0]
     ours, theirs = prior(kernel, 3, outputscale=8.0, lengthscale=SCALES).covar_module, stock(kernel)
     one, other = (torch.autograd.grad(of(F, G).to_dense().sum(), F)[0] for of in (ours, theirs))
+    assert torch.allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_a_margins_prior_is_that_of_gpytorch_with_a_linear_kernel():
+    F, G = points(6, 3)[0].requires_grad_(), points(5, 3, seed=2)[0]
+    ours = margin_prior(3)
+    ours.covar_module.initialize(outputscale=8.0, slope=0.3)
+    ours.covar_module.base_kernel.initialize(lengthscale=SCALES)
+    linear = gpytorch.kernels.LinearKernel().double()
+    linear.initialize(variance=0.3)
+    theirs = stock("matern52") + linear
+    for of, other in ((F, F), (F, G)):
+        assert torch.allclose(ours.covariance(of, other), theirs(of, other).to_dense(), rtol=1e-7, atol=1e-9)
+    assert torch.allclose(ours.variance(F), theirs(F, diag=True), rtol=1e-12)
+    assert torch.allclose(ours.covar_module(F, diag=True), theirs(F, diag=True), rtol=1e-12)
+    one, other = (torch.autograd.grad(of(F, G).to_dense().sum(), F)[0] for of in (ours.covar_module, theirs))
     assert torch.allclose(one, other, rtol=1e-9, atol=1e-12)
 
 

@@ -121,6 +121,20 @@ def test_intervals_of_a_smooth_margin_hold_at_least_as_often_as_they_say_and_are
     assert np.median(widths) < 0.1
 
 
+def test_far_beyond_the_margins_their_trend_goes_on() -> None:
+    X = np.random.default_rng(11).standard_normal((40, 4))
+    far = 6.0 * np.random.default_rng(12).standard_normal((500, 4))
+
+    def margin(F: np.ndarray) -> np.ndarray:
+        return 3.0 - F @ np.array([1.0, -0.5, 0.3, 0.2]) + 0.3 * np.sin(2.0 * F[:, 0]) * np.cos(2.0 * F[:, 1])
+
+    mean, _ = warped(fit_margin(X, margin(X)), far)
+    failed = margin(far) <= 0.0
+    assert 0.2 < failed.mean() < 0.5
+    # Without a trend nine of ten failures there are predicted to be safe.
+    assert ((mean <= 0.0) != failed).mean() < 0.05
+
+
 def test_the_warping_follows_the_margins() -> None:
     X = np.random.default_rng(8).standard_normal((40, 2))
     smooth = X[:, 0] + 0.5 * X[:, 1] + 0.3 * X[:, 0] * X[:, 1]
