@@ -357,7 +357,7 @@ class Run(Session):
 
         Args:
             x, y: names of the variables, which must be numbers.
-            at: values of the other variables; those that it lacks are in the middle of their ranges, or the most
+            at: values of the other variables; those that it lacks are at their medians, or the most
                 probable choice. Simulations with another choice, or much different other values, are pale.
             axes: matplotlib axes to draw on; new ones of pyplot if None.
 
@@ -368,7 +368,7 @@ class Run(Session):
             InputError: if a name or value is wrong, or there is no simulation to learn from.
         """
         from activefail.analyses.findings.tables import designs_of
-        from activefail.pages.figures.outcome_planes import draw_boundary, middle_of
+        from activefail.pages.figures.outcome_planes import draw_boundary
 
         space = self.space
         for name in (x, y):
@@ -379,7 +379,7 @@ class Run(Session):
             raise InputError(f"plot_boundary: x and y must differ, got {x!r} twice.")
         if unknown := set(at or {}) - set(space.names):
             raise InputError(f"at: must name variables, one of {', '.join(space.names)}, got {', '.join(unknown)}.")
-        values = {name: column[0] for name, column in space.columns(middle_of(space)[None]).items()} | dict(at or {})
+        values = {name: column[0] for name, column in space.columns(space.middle[None]).items()} | dict(at or {})
         design = designs_of(self.campaign, [values])[0]
         return draw_boundary(self.findings, space.names.index(x), space.names.index(y), design, axes)
 

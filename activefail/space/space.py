@@ -40,6 +40,9 @@ _ROUNDS = 100
 _FARTHEST = 1e9
 """Most half widths of the bounds between their middle and a recorded design: beyond, no axis shows both."""
 
+_NEAR_BOUND = 0.01
+"""Largest distance of a quantile from a bound, in shares of the range, at which the bound takes its place."""
+
 REACH = 1e-8
 """Probability outside the ball in standard normal space in which failure is searched and integrated."""
 
@@ -169,6 +172,29 @@ class DesignSpace:
     def high(self) -> Array:
         """Upper bounds, shape (d,), in the variables' units."""
         return np.array([parameter.high for parameter in self.parameters])
+
+    @property
+    def usual(self) -> tuple[Array, Array]:
+        """Lower and upper ends, (d,) each, of the ranges that pictures show: without the long tails of distributions.
+
+        They are the 0.1 and 99.9 % quantiles, or bounds that are near them.
+        """
+        ends = [self._each(Parameter.quantile, np.full(self.dimension, share)) for share in (0.001, 0.999)]
+        width = self.high - self.low
+        low, high = (np.array(end, dtype=float) for end in ends)
+        return (
+            np.where(low - self.low <= _NEAR_BOUND * width, self.low, low),
+            np.where(self.high - high <= _NEAR_BOUND * width, self.high, high),
+        )
+
+    @property
+    def middle(self) -> Array:
+        """The design, (d,), of the medians and the most probable choices."""
+        # Without the digits that are the rounding of a sum: 0.07, not 0.06999999999999999.
+        medians = [float(f"{one.quantile(np.array(0.5)):.12g}") for one in self.parameters]
+        for column, one in enumerate(self.parameters):
+            medians[column] = float(np.argmax(one.probabilities)) if one.choices else medians[column]
+        return np.asarray(self.nearest(np.array([medians]))[0])
 
     def _each(self, of: Callable[[Parameter, Array], Any], X: Array) -> list[Any]:
         """What follows from each variable and its column of X, shape (..., d)."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.estimates.error import expected_error
 from activefail.learning.model.classifier import Classifier
-from activefail.learning.model.moments import Predicted, binary_entropy
+from activefail.learning.model.moments import Predicted, binary_entropy, undecided
 from activefail.loop.history import History
 from activefail.record.store import Store
 from activefail.simulators.interface import noun_of
@@ -37,6 +38,7 @@ class Prediction:
         low, high: (n,) interval of `beyond` from the latent's uncertainty.
         beyond: (n,) probability of lying beyond the target boundary.
         mean, sd: (n,) of that boundary's latent.
+        undecided: (n,) whether the outcome is unknown (`learning.model.moments.undecided`).
     """
 
     probabilities: Array
@@ -45,6 +47,7 @@ class Prediction:
     beyond: Array
     mean: Array
     sd: Array
+    undecided: NDArray[np.bool_]
 
 
 def interval(predicted: Predicted, severity: int) -> tuple[Array, Array]:
@@ -74,7 +77,8 @@ def predict(
     exists = campaign.space.meets_constraints(X) & possible
     exists &= classifier.existence(X) >= 0.5
     # Not every model predicts for no design at all.
-    predicted = classifier.predicted(X[exists] if exists.any() else X[:1])
+    X_existing = X[exists] if exists.any() else X[:1]
+    predicted = classifier.predicted(X_existing)
     moments = predicted.moments[campaign.severity - 1]
     values = (
         predicted.probabilities,
@@ -83,9 +87,12 @@ def predict(
         moments.mean,
         moments.sd,
     )
-    filled = [np.full((len(X), *one.shape[1:]), np.nan) for one in values]
+    filled: list[NDArray[Any]] = [np.full((len(X), *one.shape[1:]), np.nan) for one in values]
     for column, one in zip(filled, values, strict=True):
         column[exists] = one
+    is_undecided = np.zeros(len(X), dtype=bool)
+    is_undecided[exists] = undecided(classifier, X_existing)[: exists.sum()]
+    filled.append(is_undecided)
     return Prediction(*filled)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.errors import InputError, TableWarning
+from activefail.learning.model.moments import undecided
 from activefail.loop.history import History
 from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
@@ -32,6 +33,9 @@ _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 
 DOES_NOT_EXIST = "does not exist"
 """Likeliest outcome of a design that probably does not exist."""
+
+UNKNOWN = "unknown"
+"""Likeliest outcome of a design far from all simulations, of which the classifier does not know the outcome."""
 
 Advance = Callable[[int], None]
 
@@ -134,10 +138,9 @@ def _predicted_values(campaign: Campaign, classifier: "Classifier | SavedClassif
     """The columns of `predicted_columns` for designs, (n, d); those that probably do not exist have no numbers."""
     predicted, exists = classifier.predicted(X), classifier.existence(X) >= 0.5
     moments = predicted.moments[campaign.severity - 1]
-    likeliest = [
-        classifier.outcomes[place] if is_there else DOES_NOT_EXIST
-        for place, is_there in zip(predicted.probabilities.argmax(axis=1), exists, strict=True)
-    ]
+    names = np.array(classifier.outcomes, dtype=object)[predicted.probabilities.argmax(axis=1)]
+    names[undecided(classifier, X)] = UNKNOWN
+    likeliest = np.where(exists, names, DOES_NOT_EXIST).tolist()
     numbers = np.where(exists, [*predicted.probabilities.T, moments.mean, moments.sd], np.nan)
     return [likeliest, *numbers.tolist()]
 

@@ -1,5 +1,6 @@
 """The prior of a latent in GPyTorch: a constant mean, a kernel and a likelihood, with priors of their parameters."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -163,6 +164,12 @@ class Prior(gpytorch.Module):
         return torch.as_tensor(
             stationary + kernel.slope * F.square().sum(-1) if isinstance(kernel, Sloped) else stationary
         )
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation without a trend; infinite for a custom kernel, of which it is not known."""
+        kernel = self.covar_module
+        return math.sqrt(float(kernel.outputscale.detach())) if _is_built_in(kernel) else math.inf
 
     def typical_variance(self, dimension: int) -> Tensor:
         """k(f, f), a scalar, of a point whose features, (dimension,), all lie a standard deviation from their means."""

@@ -1,5 +1,6 @@
 """The latent of a boundary that is learned from outcomes, by the variational classifier or by a model of the user's."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -50,6 +51,11 @@ class Latent:
         return self.trained.prior.length_scales
 
     @property
+    def prior_sd(self) -> float:
+        """Of `moments` where no simulation is near."""
+        return self.trained.prior.sd
+
+    @property
     def is_one_sided(self) -> bool:
         """Whether all training points are on one side of the boundary."""
         labels = self.trained.labels
@@ -88,6 +94,8 @@ class CustomLatent:
 
     margin_data = None
     length_scales = None
+    prior_sd = math.inf
+    """It is not known."""
 
     @cached_property
     def model(self) -> Model:

@@ -434,6 +434,11 @@ class MarginLatent:
         return self.trained.prior.length_scales
 
     @property
+    def prior_sd(self) -> float:
+        """Of `moments` where no simulation is near."""
+        return self.trained.prior.sd / (self.trained.noise or 1.0)
+
+    @property
     def is_one_sided(self) -> bool:
         """Whether nothing can be learned yet; a margin always teaches something."""
         return False

@@ -15,6 +15,11 @@ LARGEST_FEATURE = 1e3
 """Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space. Far outside the
 space nothing is known, and one huge number would dominate the sums of squares in the covariance of the other rows."""
 
+_UNSURE, _FAR = float(ndtri(0.8)), 0.1
+"""A design is undecided if the probit of its failure is smaller, and the latent's standard deviation is more than this
+share of its prior's. A trend extrapolates, so that few designs reach larger shares; near a boundary that simulations
+have found it is some hundredths (studies/beyond.py)."""
+
 ROWS_AT_ONCE = 4096
 """Most rows per call of a prediction, which limits its memory to n x 4096 numbers."""
 
@@ -154,6 +159,31 @@ def nested_probits(z: Array, is_nested: bool) -> Array:
     beyond = np.minimum(np.column_stack([logsumexp(p[:, i:], axis=1) for i in severities]), 0.0)
     short = np.minimum(np.column_stack([logsumexp(p[:, :i], axis=1) for i in severities]), 0.0)
     return np.asarray(np.where(beyond < short, ndtri_exp(beyond), -ndtri_exp(short)))
+
+
+def doubt(latent: Any, F: Array) -> Array:
+    """The standard deviation of a latent over its prior's without a trend, (n,) at scaled features, (n, m).
+
+    It is about 1 where no simulation is near. For a system it is that of the mode that decides.
+    """
+    if not hasattr(latent, "modes"):
+        return np.asarray(latent.moments(F).sd / latent.prior_sd)
+    of_modes = [mode.moments(F) for mode in latent.modes]
+    deciding = latent.system.deciding(np.column_stack([one.side for one in of_modes]))
+    each = [one.sd / mode.prior_sd for one, mode in zip(of_modes, latent.modes, strict=True)]
+    return np.asarray(np.column_stack(each)[np.arange(len(F)), deciding])
+
+
+def undecided(classifier: Any, X: Array) -> NDArray[np.bool_]:
+    """Of which designs, (n, d), a classifier does not know the outcome, (n,).
+
+    No simulation is near, and the probability beyond some boundary is neither small nor large.
+    """
+    F = classifier.features(X)
+    unsure = [
+        (np.abs(latent.moments(F).standardised) < _UNSURE) & (doubt(latent, F) > _FAR) for latent in classifier.latents
+    ]
+    return np.asarray(np.any(unsure, axis=0) & ~classifier.features.certain(X))
 
 
 def is_nested(latents: Sequence[Any]) -> bool:

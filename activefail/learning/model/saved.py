@@ -127,6 +127,11 @@ class SavedLatent:
         mean, sd = in_parts(F, self._moments)
         return Moments(mean, sd) if self.margin_data is None else margin_moments(self.threshold - mean, sd, self.noise)
 
+    @property
+    def prior_sd(self) -> float:
+        """Of `moments` where no simulation is near."""
+        return math.sqrt(self.prior.variance) / (self.noise or 1.0)
+
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
         shrunk = k @ self.readout.root.T

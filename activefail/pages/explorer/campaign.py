@@ -11,6 +11,7 @@ import numpy as np
 from activefail.analyses.findings import quantities
 from activefail.analyses.findings.results import Findings, at_the_boundary, interval, predict
 from activefail.errors import InputError
+from activefail.learning.model.moments import undecided
 from activefail.pages.explorer.fields import Field, Values, chosen
 from activefail.pages.explorer.pages import Panel, page
 from activefail.pages.figures.axes import outcome_colour
@@ -20,7 +21,7 @@ from activefail.pages.figures.svg import inline, place_of
 from activefail.pages.view import view_of
 from activefail.simulators.interface import noun_of
 from activefail.space.shares import percent
-from activefail.space.space import Array, DesignSpace
+from activefail.space.space import Array
 from activefail.text.quantities import plain
 from activefail.visible import or_worse, visible, words
 
@@ -72,7 +73,7 @@ class OneDesign:
         self.outcomes = findings.campaign.simulator.outcomes
         self.quantities = quantities.variables(findings.campaign)
         self.view = view_of(self.campaign.simulator)
-        middle = middle_of(self.space)
+        middle = self.space.middle.tolist()
         self.fields = tuple(map(Field.of, self.space.parameters, self.quantities, middle))
         # Compile and load everything before the first request.
         values = self._named(middle)
@@ -130,7 +131,7 @@ class OneDesign:
         for row, _ in at_the_boundary(self.findings):
             text = f"{words(self.outcomes[history.outcome[row]])}, near a boundary: simulation {history.id[row]}"
             found.append((text, history.designs[row].tolist()))
-        return [*found, ("the middle of the space", middle_of(self.space))]
+        return [*found, ("the middle of the space", self.space.middle.tolist())]
 
     @property
     def _undecided(self) -> tuple[str, list[float]]:
@@ -176,6 +177,7 @@ class OneDesign:
         return page(
             "predict",
             absent="",
+            undecided=bool(undecided(classifier, X)[0]),
             beyond=self.findings.beyond,
             target=boundaries[self.campaign.severity - 1],
             outcomes=list(zip(self.outcomes, predicted.probabilities[0].tolist(), colours, strict=True)),
@@ -193,7 +195,7 @@ class OneDesign:
         if x == y:
             raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
         point = self.point(values)
-        along = [np.linspace(self.space.low[column], self.space.high[column], _GRID) for column in (x, y)]
+        along = [self._along(column, point, _GRID) for column in (x, y)]
         grid = np.meshgrid(*along)
         prediction = self._predicted(point, {x: grid[0].ravel(), y: grid[1].ravel()})
         uncertain = shown == UNCERTAINTY
@@ -205,6 +207,7 @@ class OneDesign:
             (self.quantities[x], self.quantities[y]),
             (along[0], along[1]),
             shades.reshape(grid[0].shape),
+            prediction.undecided.reshape(grid[0].shape),
             title,
             marks_in(self.findings, point, [x, y]),
             self.outcomes,
@@ -217,7 +220,7 @@ class OneDesign:
     def fragility(self, values: Values) -> str:
         """A figure of the probability of lying beyond the target boundary against a variable."""
         column, point = self._axis(values, "along"), self.point(values)
-        along = np.linspace(self.space.low[column], self.space.high[column], _CURVE)
+        along = self._along(column, point, _CURVE)
         figure = plot_fragility(
             along,
             self._predicted(point, {column: along}),
@@ -227,6 +230,11 @@ class OneDesign:
             outcome_colour(self.outcomes, self.campaign.severity),
         )
         return inline(figure, "fragility", f"P({self.findings.beyond}) against {self.space.names[column]}")
+
+    def _along(self, column: int, point: Array, count: int) -> Array:
+        """Values of a variable over its usual range and that of a design, (d,); (count,)."""
+        low, high = (end[column] for end in self.space.usual)
+        return np.linspace(min(low, point[column]), max(high, point[column]), count)
 
     def _axis(self, values: Values, name: str) -> int:
         """The column of a variable that a form names."""
@@ -272,8 +280,3 @@ class OneDesign:
         if self.view is None:
             raise InputError(f"This campaign's simulator has no {noun_of(self.campaign.simulator)} to show.")
         return self.view.panel(self.point(values), _WIDTH)
-
-
-def middle_of(space: DesignSpace) -> list[float]:
-    """The middle of a space, without the digits that are the rounding of a sum: 0.07, not 0.06999999999999999."""
-    return [float(f"{value:.12g}") for value in space.from_unit(np.full(space.dimension, 0.5)).tolist()]

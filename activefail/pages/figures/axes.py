@@ -102,11 +102,20 @@ _NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
 """Hatching where there is no design; plain white means no uncertainty."""
 
 
-def nowhere_handles(Z: Array) -> list[Patch]:
-    """A legend entry for the hatching, if some of the values is NaN."""
-    return [Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no design in the space")] * bool(
-        np.isnan(Z).any()
-    )
+_UNDECIDED: dict[str, Any] = {"hatch": "..", "edgecolor": (GREY, 0.8)}
+"""Dots where the outcome is unknown."""
+
+
+def region_handles(Z: Array, undecided: NDArray[np.bool_]) -> list[Patch]:
+    """Legend entries for the hatching, if some of the values is NaN, and for the dots, if a design is undecided."""
+    return [
+        Patch(facecolor="white", **looks, linewidth=0.6, label=label)
+        for looks, label, is_there in (
+            (_NOWHERE, "no design in the space", np.isnan(Z).any()),
+            (_UNDECIDED, "unknown: no simulation is near", undecided.any()),
+        )
+        if is_there
+    ]
 
 
 def axis_limits(column: Array, share: float = 0.9) -> tuple[float, float]:
@@ -115,8 +124,13 @@ def axis_limits(column: Array, share: float = 0.9) -> tuple[float, float]:
     return float(low), float(high) if high > low else float(low) + 1.0
 
 
-def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool = False) -> ScalarMappable:
-    """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN."""
+def filled_contours(
+    axes: Axes, x: Array, y: Array, Z: Array, undecided: NDArray[np.bool_], uncertainty: bool = False
+) -> ScalarMappable:
+    """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN.
+
+    Where a design is undecided, the shades are dotted. All arrays have the shape (m, n).
+    """
     colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
     Z = np.ma.masked_invalid(Z)
     # Rasterised: as outlines the shades would be most of a page.
@@ -126,6 +140,9 @@ def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool 
         # Start at the last points that are designs, so that hatching and shades touch.
         nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
         nowhere.set(**_NOWHERE, linewidth=0.0)
+    if undecided.any():
+        unknown = axes.contourf(x, y, undecided.astype(float), levels=[0.5, 2.0], colors="none")
+        unknown.set(**_UNDECIDED, linewidth=0.0)
     if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
         axes.contour(x, y, Z, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=[0.6, 0.6, 1.7, 0.6, 0.6])
     return ScalarMappable(shades.norm, shades.cmap)

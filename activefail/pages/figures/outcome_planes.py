@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -18,10 +19,10 @@ from activefail.pages.figures.axes import (
     colour_bar,
     filled_contours,
     legend_outside,
-    nowhere_handles,
     outcome_handles,
     own_axes,
     panel,
+    region_handles,
     scatter_outcomes,
 )
 from activefail.pages.figures.style import GREY, fitting_size, letters, styled
@@ -29,6 +30,9 @@ from activefail.plugins import brought
 from activefail.space.space import Array, DesignSpace
 from activefail.text.quantities import Quantity, plain
 from activefail.visible import words
+
+_TITLE = 52
+"""Letters in a line of a small title."""
 
 GRID, _FINE = 44, 150
 """Points along each side of a plane of the report, and of a single one."""
@@ -93,7 +97,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
         order = np.argsort(scales)
     else:
         order = np.argsort(-findings.influence, kind="stable")
-    middle = middle_of(space)
+    middle, (lows, highs) = space.middle, space.usual
     # Choices have no axes; the most influential ones take the place of a third variable.
     is_choice = np.array([bool(one.choices) for one in space.parameters])
     first = [int(column) for column in order if not is_choice[column]][:3]
@@ -101,7 +105,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     of_choices: list[Plane] = []
 
     def plane(x: int, y: int, third: int) -> Plane:
-        low, high, one = space.low[third], space.high[third], space.parameters[third]
+        low, high, one = lows[third], highs[third], space.parameters[third]
         values = tuple(float(one.rounded(low + share * (high - low))) for share in (0.2, 0.5, 0.8))
         return Plane(x, y, third, values)
 
@@ -120,7 +124,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     def at(rows: Array) -> Prediction:
         return predict(campaign, findings.classifier, space.nearest(rows))
 
-    width = np.where(is_choice, 0.0, 0.15 * (space.high - space.low))
+    width = np.where(is_choice, 0.0, 0.15 * (highs - lows))
     shown = [*of_choices, *planes]
     return Coordinates(
         variables(campaign),
@@ -133,12 +137,20 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     )
 
 
-def middle_of(space: DesignSpace) -> Array:
-    """The design, (d,), in the middle of all ranges, with the most probable choices."""
-    middle = space.nearest(0.5 * (space.low + space.high)[None])[0]
-    for column, one in enumerate(space.parameters):
-        middle[column] = np.argmax(one.probabilities) if one.choices else middle[column]
-    return np.asarray(middle)
+_MOST_HELD = 8
+"""Most variables that a title names with the values at which they are held."""
+
+
+def held_in_words(space: DesignSpace, X: Array, shown: Sequence[int]) -> str:
+    """At which values of a design, (d,), the variables stand that a plane does not show; empty if it shows all."""
+    others = [column for column in range(space.dimension) if column not in shown]
+    values = space.written(dict(zip(space.names, X.tolist(), strict=True)))
+    of_each = [
+        f"{plain(name)} = {value:.4g}" if isinstance(value, float) else f"{plain(name)} = {plain(str(value))}"
+        for name, value in ((space.names[column], values[space.names[column]]) for column in others[:_MOST_HELD])
+    ]
+    rest = [f"{len(others) - _MOST_HELD} more at their medians"] * (len(others) > _MOST_HELD)
+    return ", ".join(one.replace(" ", "\N{NO-BREAK SPACE}") for one in [*of_each, *rest])
 
 
 @styled()
@@ -153,15 +165,21 @@ def draw_boundary(findings: Findings, x: int, y: int, X: Array, axes: Axes | Non
     """
     axes = own_axes(axes)
     campaign, space, named = findings.campaign, findings.campaign.space, variables(findings.campaign)
-    across, up = np.meshgrid(*(np.linspace(space.low[column], space.high[column], _FINE) for column in (x, y)))
+    low, high = space.usual
+    across, up = np.meshgrid(*(np.linspace(low[column], high[column], _FINE) for column in (x, y)))
     rows = np.tile(X, (across.size, 1))
     rows[:, x], rows[:, y] = across.ravel(), up.ravel()
-    beyond = predict(campaign, findings.classifier, space.nearest(rows)).beyond
-    shades = filled_contours(axes, across, up, beyond.reshape(across.shape))
+    prediction = predict(campaign, findings.classifier, space.nearest(rows))
+    beyond, undecided = prediction.beyond, prediction.undecided
+    shades = filled_contours(axes, across, up, beyond.reshape(across.shape), undecided.reshape(across.shape))
     draw_marks(axes, marks_in(findings, X, [x, y]), campaign.simulator.outcomes, 28.0)
     colour_bar(cast(Figure, axes.get_figure(root=True)), axes, shades, f"P({plain(findings.beyond)})")
-    axes.set(xlabel=named[x].axis, ylabel=named[y].axis)
-    axes.legend(handles=[*outcome_handles(campaign.simulator.outcomes), *nowhere_handles(beyond)])
+    axes.set(xlabel=named[x].axis, ylabel=named[y].axis, xlim=(low[x], high[x]), ylim=(low[y], high[y]))
+    axes.legend(handles=[*outcome_handles(campaign.simulator.outcomes), *region_handles(beyond, undecided)])
+    title, influence = held_in_words(space, X, (x, y)), findings.influence
+    if (most := int(np.argmax(influence))) not in (x, y) and influence[most] > max(influence[[x, y]]):
+        title += f"; {plain(space.names[most])} decides more than both axes"
+    axes.set_title(fill(title, _TITLE), fontsize="small")
     return axes
 
 
@@ -212,6 +230,7 @@ def plot_variable_plane(
     quantities: tuple[Quantity, Quantity],
     along: tuple[Array, Array],
     values: Array,
+    undecided: NDArray[np.bool_],
     title: str,
     marks: Sequence[Marks],
     outcomes: Sequence[str],
@@ -223,6 +242,7 @@ def plot_variable_plane(
         quantities: of the two axes.
         along: (n,) and (m,) values on the axes.
         values: (m, n) between 0 and 1; NaN where there is no design.
+        undecided: (m, n) where the outcome is unknown.
         title: of the values.
         marks: the designs.
         outcomes: names, for the marks' looks.
@@ -230,13 +250,13 @@ def plot_variable_plane(
     """
     x, y = along
     figure, axes = panel(4.0, 3.4)
-    shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
+    shades = filled_contours(axes, *np.meshgrid(x, y), values, undecided, uncertainty)
     draw_marks(axes, marks, outcomes, 22.0)
     axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     colour_bar(figure, axes, shades, title, uncertainty)
     axes.set_title(title if uncertainty else f"{title}; thick line: one half")
-    if nowhere := nowhere_handles(values):
-        legend_outside(figure, handles=nowhere)
+    if regions := region_handles(values, undecided):
+        legend_outside(figure, handles=regions)
     return figure
 
 
@@ -252,6 +272,9 @@ def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) ->
     F, outcome = c.F[findings.history.answered], findings.history.training.outcome
     share = 0.9 if c.are_features else 1.0
     x_limits, y_limits = (axis_limits(F[:, column], share) for column in (plane.x, plane.y))
+    if not c.are_features:
+        lows, highs = campaign.space.usual
+        x_limits, y_limits = ((float(lows[axis]), float(highs[axis])) for axis in (plane.x, plane.y))
     shown = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
     x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))
     rows = np.tile(c.middle, (x.size, 1))
@@ -265,6 +288,8 @@ def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) ->
         value = f"{third:.3g} ± {width:.2g}" if width else exact
         between = "\n" if letters(symbol) > 16 else " "
         title = f"{symbol}{between}= {value}"
+    if not c.are_features and (held := held_in_words(campaign.space, c.middle, (plane.x, plane.y, plane.third))):
+        title = "\n".join(filter(None, (title, fill(held, _TITLE))))
     others = [column for column in c.choices if column != plane.third]
     alike = np.all(F[:, others] == c.middle[others], axis=1)
     marks = [
@@ -279,14 +304,15 @@ def _at_value(plane: Plane, third: float, c: Coordinates, findings: Findings) ->
     size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
     for axes, layer, name in zip(grid, layers, titles, strict=True):
         last = axes is grid[-1]
-        shades = filled_contours(axes, x, y, layer.reshape(x.shape), uncertainty=last)
+        undecided = prediction.undecided.reshape(x.shape)
+        shades = filled_contours(axes, x, y, layer.reshape(x.shape), undecided, uncertainty=last)
         draw_marks(axes, marks, outcomes, 28.0)
         axes.set(xlim=x_limits, ylim=y_limits)
         axes.set_ylabel(f"{name}\n{c.quantities[plane.y].axis}", fontsize=size)
         colour_bar(figure, axes, shades, name, uncertainty=last, fraction=0.06)
-    grid[0].set_title(title)
+    grid[0].set_title(title, fontsize="small")
     grid[-1].set_xlabel(c.quantities[plane.x].axis, fontsize=size)
     handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
     handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
-    legend_outside(figure, "outside upper center", [*handles, *nowhere_handles(prediction.beyond)])
+    legend_outside(figure, "outside upper center", [*handles, *region_handles(prediction.beyond, prediction.undecided)])
     return figure

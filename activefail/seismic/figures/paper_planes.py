@@ -101,7 +101,8 @@ class _Slices:
         plane, F = self.plane, self.process.F
         x, y = np.meshgrid(np.linspace(*self.x_limits, _GRID), np.linspace(*self.y_limits, _GRID))
         mean, sd = self.moments(x, y, third)
-        shades = filled_contours(panel, x, y, ndtr(mean / np.sqrt(1.0 + sd**2)))
+        nowhere = np.zeros(x.shape, dtype=bool)
+        shades = filled_contours(panel, x, y, ndtr(mean / np.sqrt(1.0 + sd**2)), nowhere)
         inside = (F[:, plane.x] <= self.x_limits[1]) & (F[:, plane.y] <= self.y_limits[1])
         shown = self.near(plane.third, third)
         self.scatter(panel, F[:, plane.x], F[:, plane.y], shown & inside)
