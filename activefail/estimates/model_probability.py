@@ -1,6 +1,7 @@
 """The probability beyond a boundary by the classifier alone, and the posterior sd of this probability."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from activefail.learning.features import FeatureMap
 from activefail.learning.model.boundary_gp import joint
 from activefail.learning.model.classifier import Classifier
 from activefail.learning.model.latent import Latent
+from activefail.learning.model.margin import MarginLatent
 from activefail.learning.model.system import AnyLatent, ByMargins, SystemLatent
 from activefail.space.space import Array, DesignSpace
 
@@ -52,8 +54,8 @@ def model_probability(
     latent = classifier.latent(outcome)
     assert isinstance(latent, ByMargins)
 
-    def share(lost: Lost, accuracy: float) -> OfBoundary:
-        return integrate(BoundariesOf(classifier, features, lost, outcome), space, accuracy=accuracy).of(0)
+    def share(lost: Lost, accuracy: float, by: Classifier = classifier) -> OfBoundary:
+        return integrate(BoundariesOf(by, features, lost, outcome), space, accuracy=accuracy).of(0)
 
     known = share("learned", ACCURACY)
     drawn, F, standardised = doubtful_population(latent.model, features, space, n, rng)
@@ -62,7 +64,17 @@ def model_probability(
         # The posterior does not know what lost runs are; half of the range counts as one standard deviation.
         ends = [share(lost, _COARSE).probability for lost in ("none", "all")]
         sd = math.hypot(sd, 0.5 * max(0.0, ends[1] - ends[0]))
+    if isinstance(latent, MarginLatent) and latent.gap:
+        # All paths share the boundary's place in the gap.
+        low, high = (share("learned", _COARSE, _with(classifier, latent, place)).probability for place in (1.0, 0.0))
+        sd = math.hypot(sd, (high - low) / math.sqrt(12.0))
     return ModelProbability(known.probability, sd, known.error)
+
+
+def _with(classifier: Classifier, latent: MarginLatent, place: float) -> Classifier:
+    """A classifier that knows where in the gap of one of its latents the boundary lies."""
+    latents = (replace(one, place=place) if one is latent else one for one in classifier.latents)
+    return replace(classifier, latents=tuple(latents))
 
 
 def posterior_sd(

@@ -109,14 +109,24 @@ class MarginFit:
             variance = self.prior.variance(points).numpy()
         return margin_readout(K, Kx, variance, self.mean, *data.observed(self.nugget), self.jitter)
 
-    def model(self, threshold: float) -> BoundaryModel:
-        """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
+    @cached_property
+    def gap(self) -> float:
+        """How far below the data's level the boundary may lie, of a warped margin (see `MarginData.gap`)."""
+        return self.data.gap(lambda F: self._moments(F)[0])
+
+    def model(self, threshold: float, variance: float = 0.0) -> BoundaryModel:
+        """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary.
+
+        Args:
+            threshold: of the warped margin.
+            variance: of the threshold.
+        """
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
         likelihood.noise = self.jitter  # the noise is a part of the posterior's variance
         readout, trend, _ = self.readout
         prior, of_latent = Prior(self.prior.covar_module, likelihood, {}), Readout(-readout.weights, readout.root)
         prior.mean_module.initialize(constant=threshold - self.mean)
-        return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget))
+        return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget + variance))
 
     @cached_property
     def _at_zero(self) -> BoundaryModel:
@@ -408,10 +418,12 @@ class MarginLatent:
         trained: the regression.
         level: of the margin at or below which a design is beyond the boundary: several boundaries of one margin share a
             regression.
+        place: where in the gap below the data's level the boundary lies, 0 to 1; None if it is as likely everywhere.
     """
 
     trained: MarginFit
     level: float = 0.0
+    place: float | None = None
 
     @property
     def margin_data(self) -> MarginData:
@@ -419,9 +431,21 @@ class MarginLatent:
         return self.trained.data
 
     @property
+    def gap(self) -> float:
+        """Length of the interval that is known to contain the boundary, of a warped margin; 0 where it is stated."""
+        return 0.0 if self.level else self.trained.gap
+
+    @property
     def threshold(self) -> float:
-        """The level in the units of the warped margin."""
-        return float(self.trained.data.warped(np.array(self.level)))
+        """The level in the units of the warped margin; in the middle of the gap if its place is not known."""
+        if self.gap:
+            return -self.gap * (0.5 if self.place is None else self.place)
+        return float(self.trained.data.warped(np.array(self.level - self.trained.data.level)))
+
+    @property
+    def _variance(self) -> float:
+        """Of the threshold: uniform over the gap."""
+        return self.gap**2 / 12.0 if self.place is None else 0.0
 
     @property
     def features(self) -> Array:
@@ -461,7 +485,7 @@ class MarginLatent:
     @cached_property
     def model(self) -> BoundaryModel:
         """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
-        return self.trained.model(self.threshold)
+        return self.trained.model(self.threshold, self._variance)
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m); in units of the noise, if there is any."""
@@ -476,7 +500,7 @@ class MarginLatent:
             F: the features.
             margin: in relation to the boundary, at most 0 beyond it.
         """
-        own = margin + self.level
+        own = margin + self.level - self.trained.data.level
         exact = np.isfinite(own) & ~(self.trained.data.truncated & (own <= 0.0))
         mean, sd = moments(self.model, F)
         warped = self.trained.data.warped(np.where(exact, own, 0.0))
@@ -485,4 +509,4 @@ class MarginLatent:
     def left_out(self) -> Moments:
         """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
         mean, sd = self.trained.left_out()
-        return margin_moments(self.threshold - mean, sd, self.trained.noise)
+        return margin_moments(self.threshold - mean, np.sqrt(sd**2 + self._variance), self.trained.noise)

@@ -17,6 +17,9 @@ from activefail.space.systems import System
 OUTCOMES = -1
 """The choice of the outcomes alone."""
 
+_JUST = 1e-9
+"""Distance of a level below the least margin, in units of that."""
+
 _GROWTH = 0.5
 """Growth of the number of simulations after which the models are compared again."""
 
@@ -72,10 +75,16 @@ def usable(margin: Array, beyond: NDArray[np.bool_], system: System | None = Non
     return ""
 
 
-def defined(margin: Array) -> tuple[Array, bool]:
-    """The margins with 0 where they are undefined, and whether any is."""
+def defined(margin: Array) -> tuple[Array, bool, float]:
+    """The margins with 0 where they are undefined, whether any is, and the level from which they count.
+
+    It is 0 if any margin is at most 0. Otherwise the simulations with a margin show the boundary from one side only, as
+    those of a solver that gives up before failure do: then it is just below the least margin.
+    """
     undefined = np.isnan(margin)
-    return np.where(undefined, 0.0, margin), bool(undefined.any())
+    has_undefined, least = bool(undefined.any()), np.nanmin(margin)
+    level = float(least * (1.0 - _JUST)) if has_undefined and least > 0.0 else 0.0
+    return np.where(undefined, 0.0, margin - level), has_undefined, level
 
 
 def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:

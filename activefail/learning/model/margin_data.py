@@ -88,12 +88,13 @@ class MarginData:
 
     Attributes:
         features: (n, m) scaled features.
-        margin: (n,) margins as the simulator gives them.
+        margin: (n,) margins, in relation to `level`.
         truncated: whether margins at most 0 are censored.
         warping: name of the warping.
         unit: q, the unit of the margins before warping.
         sites: of the censored points; 0 outside `rows`.
         inducing: which of the points of the posterior are inducing points; None if it is that of all.
+        level: of the simulator's margin at which `margin` is 0. Above 0, the boundary is known to lie below it alone.
     """
 
     features: Array
@@ -103,6 +104,7 @@ class MarginData:
     unit: float
     sites: CensoredSites
     inducing: NDArray[np.intp] | None = None
+    level: float = 0.0
 
     @cached_property
     def rows(self) -> NDArray[np.intp]:
@@ -148,6 +150,16 @@ class MarginData:
         """
         top = self.margin.max()
         return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
+
+    def gap(self, mean: Callable[[Array], Array]) -> float:
+        """How far below the level the boundary may lie, in the units of `warped`: the way to the nearest failure.
+
+        Args:
+            mean: of the warped margin at scaled features, (l, m) -> (l,).
+        """
+        if not self.level:
+            return 0.0
+        return float(np.maximum(-mean(self.features[self.margin <= 0.0]), 0.0).min())
 
     def warped(self, margin: Array) -> Array:
         """Margins, (l,), in the units of `moments`."""

@@ -132,6 +132,15 @@ class SavedLatent:
         """Of `moments` where no simulation is near."""
         return math.sqrt(self.prior.variance) / (self.noise or 1.0)
 
+    def at(self, level: float) -> "SavedLatent":
+        """The latent of the boundary at a level of the margin (see `margin.MarginLatent`)."""
+        data = self.margin_data
+        assert data is not None
+        gap = 0.0 if level else data.gap(lambda F: in_parts(F, self._moments)[0])
+        if gap:
+            return replace(self, threshold=-0.5 * gap, added=self.added + gap**2 / 12.0)
+        return replace(self, threshold=float(data.warped(np.array(level - data.level))))
+
     def _moments(self, F: Array) -> tuple[Array, Array]:
         k = self.prior.covariance(F, self.support)
         shrunk = k @ self.readout.root.T
@@ -223,8 +232,7 @@ def saved_classifier(
         if source.name not in regressions:
             regressions[source.name] = _of_margin(state, source.name, F, source.margin)
         shared = regressions[source.name]
-        assert shared.margin_data is not None
-        latents.append(replace(shared, threshold=float(shared.margin_data.warped(np.array(source.level)))))
+        latents.append(shared.at(source.level))
     for latent in latents:
         check(latent, F)
     return SavedClassifier(tuple(outcomes), features, tuple(latents), repeatable)
@@ -295,11 +303,11 @@ def choices_of(state: State, outcomes: Sequence[str], margins: LearnableMargins 
 
 def margin_data_of(state: State, name: str, F: Array, margin: Array) -> MarginData:
     """The data of a regression: its margins, (n,), at scaled features, (n, m), and what a state says of them."""
-    values, _ = defined(margin)
+    values, _, margin_level = defined(margin)
     truncated, warping = (int(state[f"{name}/{key}"]) for key in ("truncated", "warping"))
     sites = CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"])
     unit, inducing = float(state[f"{name}/unit"]), state.get(f"{name}/inducing")
-    return MarginData(F, values, bool(truncated), list(WARPINGS)[warping], unit, sites, inducing)
+    return MarginData(F, values, bool(truncated), list(WARPINGS)[warping], unit, sites, inducing, margin_level)
 
 
 def check(latent: Any, F: Array) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +117,9 @@ def _choice(
 
 def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None, repeatable: bool = True) -> MarginFit:
     """The regression of a usable margin, (n,), at scaled features, (n, m)."""
-    values, has_undefined = defined(margin)
-    return fit_margin(F, values, has_undefined or is_truncated(values), warm, repeatable)
+    values, has_undefined, level = defined(margin)
+    fitted = fit_margin(F, values, has_undefined or is_truncated(values), warm, repeatable)
+    return replace(fitted, data=replace(fitted.data, level=level))
 
 
 def fit_system(F: Array, margins: Array, system: System, warm: object = None) -> SystemLatent:
