@@ -1,6 +1,6 @@
 """Solvers that give up before failure: calls, intervals and coverage against a twin whose margin is whole.
 
-    python studies/giving_up.py                              six limit states, ten seeds
+    python studies/giving_up.py                              seven limit states, ten seeds
     python studies/giving_up.py --problems plane --seeds 2   a quick look
     python studies/giving_up.py --unknown                    nothing says what lost runs mean: both probabilities
 
@@ -13,7 +13,7 @@ level is the one below which a run is lost: P is 0 if none of them fails.
     branch     3 + 0.1 (x1 - x2)^2 - (x1 + x2) / sqrt 2; level 0.2
     buckling   resistance less load of a column by Perry and Robertson, four variables; 5 % of the load is left
     frame      five variables of a portal frame, 1 less its utilisation; level 0.08
-    far        4 - norm of six variables that are not standard; level 0.3
+    spring     1.4 - 0.3 exp(0.4 x1 + 0.3 x2) - 0.1 x3 + 0.05 x3^2, three variables; level 0.1
     ragged     as plane; the level is 0.1 + 0.05 sin(3 x2), so that no margin separates
     late       as plane; lost below -0.3: margins reach 0 first, and the twin's level is 0
 """
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from problems import PARTS, Problem, standard, variables
+from problems import PARTS, Problem, standard
 from reliability import estimated, is_wrong, stopping_campaign
 from study import Rows, asked, head, in_memory, line, parallel, spread
 
@@ -79,8 +79,8 @@ def _frame(X):
     return 1.0 - bending / (0.9 * strength) - (0.5 * snow * span + 0.3 * wind * height) / (8.0 * strength)
 
 
-def _far(X):
-    return 4.0 - np.linalg.norm(X / np.array([1.0, 1.0, 0.9, 0.8, 0.8, 0.7]), axis=1)
+def _spring(X):
+    return 1.4 - 0.3 * np.exp(0.4 * X[:, 0] + 0.3 * X[:, 1]) - 0.1 * X[:, 2] + 0.05 * X[:, 2] ** 2
 
 
 SPACES = {
@@ -97,7 +97,6 @@ SPACES = {
         "span": {"distribution": "normal", "mean": 12.0, "sd": 0.4},
         "strength": {"distribution": "lognormal", "mean": 275.0, "cov": 0.07},
     },
-    "six": variables(*[("normal", 0.0, sd) for sd in (0.6, 0.6, 0.54, 0.48, 0.48, 0.42)]),
 }
 
 PROBLEMS = {
@@ -105,7 +104,7 @@ PROBLEMS = {
     "branch": (_branch, standard(2), _constant(0.2)),
     "buckling": (_column, SPACES["column"], _constant(0.05)),
     "frame": (_frame, SPACES["frame"], _constant(0.08)),
-    "far": (_far, SPACES["six"], _constant(0.3)),
+    "spring": (_spring, standard(3), _constant(0.1)),
     "ragged": (_plane, standard(2), lambda X: 0.1 + 0.05 * np.sin(3.0 * X[:, 1])),
     "late": (_plane, standard(2), _constant(-0.3)),
 }

@@ -79,7 +79,7 @@ def test_the_difference_of_nearly_equal_variables_is_learned_from_decorrelated_f
     fresh = CORRELATED.latin_hypercube(2000, np.random.default_rng(3))
 
     def margin(X: np.ndarray) -> np.ndarray:
-        return 1.0 - 100.0 * (X[:, 2] - (2.0 * X[:, 1] - 1.0)) + np.log(X[:, 0] / 50.0)
+        return 1.0 - np.square(100.0 * (X[:, 2] - (2.0 * X[:, 1] - 1.0))) + np.log(X[:, 0] / 50.0)
 
     wrong = {}
     for name in ("design", "decorrelated"):

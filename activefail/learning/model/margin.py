@@ -114,19 +114,14 @@ class MarginFit:
         """How far below the data's level the boundary may lie, of a warped margin (see `MarginData.gap`)."""
         return self.data.gap(lambda F: self._moments(F)[0])
 
-    def model(self, threshold: float, variance: float = 0.0) -> BoundaryModel:
-        """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary.
-
-        Args:
-            threshold: of the warped margin.
-            variance: of the threshold.
-        """
+    def model(self, threshold: float) -> BoundaryModel:
+        """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
         likelihood.noise = self.jitter  # the noise is a part of the posterior's variance
         readout, trend, _ = self.readout
         prior, of_latent = Prior(self.prior.covar_module, likelihood, {}), Readout(-readout.weights, readout.root)
         prior.mean_module.initialize(constant=threshold - self.mean)
-        return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget + variance))
+        return BoundaryModel.of(SiteStrategy(prior, self.support, of_latent, trend, self.nugget))
 
     @cached_property
     def _at_zero(self) -> BoundaryModel:
@@ -484,12 +479,16 @@ class MarginLatent:
 
     @cached_property
     def model(self) -> BoundaryModel:
-        """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
-        return self.trained.model(self.threshold, self._variance)
+        """The posterior as a BoTorch model over the scaled features, (..., q, m).
+
+        A boundary of which only a gap is known lies in its middle there: simulations beside it halve the gap.
+        """
+        return self.trained.model(self.threshold)
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m); in units of the noise, if there is any."""
-        return margin_moments(*moments(self.model, F), self.trained.noise)
+        mean, sd = moments(self.model, F)
+        return margin_moments(mean, np.sqrt(sd**2 + self._variance), self.trained.noise)
 
     def deviations(self, F: Array, margin: Array) -> Array:
         """How far margins, (n,), lie beyond their means at scaled features, (n, m), in standard deviations.

@@ -418,14 +418,16 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
     def predicted(rows):
         P = np.full((len(rows), len(outcomes)), 1.0 / len(outcomes))
         P[:6] = np.nan
-        return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0], beyond=P[:, -1])
+        unknown = np.arange(len(rows)) % 7 == 6
+        return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0], beyond=P[:, -1], undecided=unknown)
 
     plane = outcome_planes.Plane(0, 1, third, (12000.0, 15000.0, 18000.0))
-    F = 1e5 * rng.random((40, 3))
+    F = 1e5 * rng.random((40, 5))
+    space = DesignSpace(tuple(Parameter(f"concrete_compressive_strength_{i}", 0.0, 1e5) for i in range(5)))
     c = outcome_planes.Coordinates(names, F, F.mean(axis=0), predicted, [plane], lambda *_: 1500.0)
     outcome, none = rng.integers(0, len(outcomes), 40).astype(np.int8), np.zeros(40)
     findings = SimpleNamespace(
-        campaign=SimpleNamespace(simulator=SimpleNamespace(outcomes=outcomes)),
+        campaign=SimpleNamespace(simulator=SimpleNamespace(outcomes=outcomes), space=space),
         history=History.of_sample(F, Results(outcome, none.astype(np.int8), np.empty((40, 0)), none)),
         beyond=outcomes[-1],
     )
