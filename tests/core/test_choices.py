@@ -371,7 +371,7 @@ def test_features_of_choices_come_from_a_file_which_the_run_folder_needs_no_long
             X = run.space.random(200, np.random.default_rng(0))
             table = run.space.columns(X)
             truth = np.array([STRENGTH[one] for one in table["steel"]]) * table["width"] + 1.0 <= table["load"]
-            assert ((run.predict(pd.DataFrame(table))["p_failure"] > 0.5) != truth).mean() <= 0.01
+            assert ((run.predict(pd.DataFrame(table))["p_failure"] > 0.5) != truth).mean() <= 0.02
     finally:
         (beams / "gone.csv").rename(beams / "steels.csv")
 

@@ -206,3 +206,16 @@ def test_a_ctrl_c_while_scipy_reads_its_direction_numbers_arrives_afterwards(
     assert made == [(1,)]
     monkeypatch.undo()
     assert np.ptp(SPACE.sobol(8, np.random.default_rng(0)), axis=0).all()
+
+
+def test_pictures_show_where_the_probability_lives_and_whole_ranges_that_have_no_tails() -> None:
+    parameters = (
+        Parameter.of_distribution("load", "normal", {"mean": 10.0, "sd": 2.0}, distance=5.6),
+        Parameter("width", 0.2, 1.0),
+        Parameter.of_choices("soil", ["A", "B", "C"], [0.2, 0.7, 0.1]),
+    )
+    space = DesignSpace(parameters)
+    low, high = space.usual
+    np.testing.assert_allclose([low[0], high[0]], 10.0 + 2.0 * stats.norm.ppf([0.001, 0.999]), atol=1e-4)
+    assert (low[1:].tolist(), high[1:].tolist()) == ([0.2, 0.0], [1.0, 2.0])
+    assert space.middle.tolist() == [10.0, 0.6, 1.0]

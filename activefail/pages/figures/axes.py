@@ -102,12 +102,12 @@ _NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
 """Hatching where there is no design; plain white means no uncertainty."""
 
 
-_UNDECIDED: dict[str, Any] = {"hatch": "..", "edgecolor": (GREY, 0.8)}
-"""Dots where the outcome is unknown."""
+_UNDECIDED: dict[str, Any] = {"hatch": "---", "edgecolor": (GREY, 0.8)}
+"""Lines where the outcome is unknown; dots would be most of a page."""
 
 
 def region_handles(Z: Array, undecided: NDArray[np.bool_]) -> list[Patch]:
-    """Legend entries for the hatching, if some of the values is NaN, and for the dots, if a design is undecided."""
+    """Legend entries for the hatching, if some of the values is NaN, and for the lines, if a design is undecided."""
     return [
         Patch(facecolor="white", **looks, linewidth=0.6, label=label)
         for looks, label, is_there in (
@@ -129,7 +129,7 @@ def filled_contours(
 ) -> ScalarMappable:
     """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN.
 
-    Where a design is undecided, the shades are dotted. All arrays have the shape (m, n).
+    Where a design is undecided, horizontal lines lie over the shades. All arrays have the shape (m, n).
     """
     colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
     Z = np.ma.masked_invalid(Z)

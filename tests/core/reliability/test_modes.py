@@ -70,11 +70,13 @@ def test_the_shares_are_those_of_the_system(truth, monkeypatch) -> None:
 
 def test_shares_that_are_counted_have_wider_intervals(truth, monkeypatch) -> None:
     monkeypatch.setattr(modes, "_ROUNDS", 4)
-    plan, of, corrected = fresh(25, 200, 1)
-    of_counts, of_regressions = (numbers(one.shares(0.9)) for one in (counted_modes(SYSTEM, plan, of), corrected))
-    assert (of_counts[..., 1] <= truth).all()
-    assert (truth <= of_counts[..., 2]).all()
-    assert (np.diff(of_counts[..., 1:]) > np.diff(of_regressions[..., 1:])).all()
+    hold = 0
+    for seed in range(4):
+        plan, of, corrected = fresh(25, 200, seed)
+        of_counts, of_regressions = (numbers(one.shares(0.9)) for one in (counted_modes(SYSTEM, plan, of), corrected))
+        hold += ((of_counts[..., 1] <= truth) & (truth <= of_counts[..., 2])).all()
+        assert (np.diff(of_counts[..., 1:]) > np.diff(of_regressions[..., 1:])).all()
+    assert hold >= 3  # six nominal 90 % intervals each
 
 
 def test_the_intervals_of_counted_shares_cover_though_a_mode_is_rare() -> None:

@@ -36,6 +36,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 from activefail.space.parameter import Parameter
 from activefail.space.shares import significant
+from activefail.space.space import DesignSpace
 from activefail.text.quantities import custom_quantity, plain, quantity
 
 SECTIONS = (

@@ -121,6 +121,35 @@ def test_intervals_of_a_smooth_margin_hold_at_least_as_often_as_they_say_and_are
     assert np.median(widths) < 0.1
 
 
+def test_a_solver_that_gives_up_before_failure_shows_the_level_where_it_does() -> None:
+    X, fresh = (np.random.default_rng(seed).standard_normal((n, 2)) for seed, n in ((3, 30), (4, 4000)))
+
+    def reserve(F: np.ndarray) -> np.ndarray:
+        return 1.0 - F[:, 0] - 0.2 * F[:, 1] ** 2
+
+    g, gives_up = reserve(X), 0.3
+    latent = MarginLatent(fit_defined(X, np.where(g < gives_up, np.nan, g)))
+    predicted = {place: replace(latent, place=place).moments(fresh).mean > 0.0 for place in (None, 0.0, 1.0)}
+    lost = reserve(fresh) < gives_up
+    # The least margin and the nearest lost run enclose the level, but for a few designs far from all others.
+    assert latent.gap > 0.0
+    assert (lost & ~predicted[0.0]).mean() < 0.001
+    assert (predicted[1.0] & ~lost).mean() < 0.001
+    between = predicted[0.0] & ~predicted[1.0]
+    assert 0 < between.sum() < 0.1 * len(fresh)
+    assert (predicted[None] == lost)[~between].mean() > 0.999
+    side = latent.moments(fresh).side[between]
+    assert (np.abs(side) < 1.8).all()  # of a uniform distribution no place is more than √3 standard deviations away
+
+
+def test_a_margin_that_reaches_0_has_its_boundary_there_though_runs_are_lost() -> None:
+    X, _ = drawn(3, 30)
+    g = 1.0 - X[:, 0] - 0.2 * X[:, 1] ** 2
+    assert ((g <= 0.0) & (g > -1.0)).any()
+    latent = MarginLatent(fit_defined(X, np.where(g < -1.0, np.nan, g)))
+    assert (latent.gap, latent.threshold, latent.trained.data.level) == (0.0, 0.0, 0.0)
+
+
 def test_far_beyond_the_margins_their_trend_goes_on() -> None:
     X = np.random.default_rng(11).standard_normal((40, 4))
     far = 6.0 * np.random.default_rng(12).standard_normal((500, 4))

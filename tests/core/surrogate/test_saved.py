@@ -29,16 +29,21 @@ def level(X):
     return X[:, 0] + 0.2 * (X[:, 1] - 10.0)
 
 
-def trained(kernel, truncated=None):
-    """A classifier of 120 designs and what it was trained on; its boundaries are learned from margins if asked for."""
+def trained(kernel, truncated=None, gives_up=0.0):
+    """A classifier of 120 designs and what it was trained on; its boundaries are learned from margins if asked for.
+
+    Simulations give up if the margin of the most severe outcome is smaller.
+    """
     X = SPACE.latin_hypercube(120, np.random.default_rng(0))
     noise = 0.2 * np.random.default_rng(2).standard_normal(len(X)) if kernel == "noisy" else 0.0
-    outcome = np.digitize(level(X) + noise, [0.6, 1.4]).astype(np.int8)
+    outcome = np.digitize(level(X) + noise, [0.6, 1.4 - gives_up]).astype(np.int8)
     margins = None
     if truncated is not None:
         values = np.stack([(limit - level(X) - noise)[:, None] for limit in (0.6, 1.4)])
         # A simulation that ends at failure reports 0.
         values = np.where(truncated & (values < 0.0), 0.0, values)
+        if gives_up:
+            values[:, outcome == 2] = np.nan
         margins = LearnableMargins(values, np.array([[-0.6], [-1.4]]), (0,), required=True)
     given = (X, outcome, OUTCOMES, FEATURES)
     return train(*given, LEARNERS[kernel], None, margins), given, margins
@@ -51,6 +56,7 @@ CASES = {
     "matern52, inducing": ("matern52",),
     "margin": ("rbf", False),
     "truncated margin": ("rbf", True),
+    "margin that gives up": ("rbf", False, 0.3),
     "noisy margin": ("noisy", False),
     "truncated noisy margin": ("noisy", True),
     "margin, part of the designs": ("rbf", False),
