@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError, naming
-from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
+from activefail.simulators.interface import (
+    EXECUTION_CAUSES,
+    NUMERICAL_FAILURE,
+    NotFiniteError,
+    Results,
+    UnusableAnswerError,
+    settled,
+)
 from activefail.simulators.returned import read_answer
 from activefail.space.expressions import Expression, outputs_of
 from activefail.space.space import Array, DesignSpace
@@ -441,6 +448,9 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         return Results(
             np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, np.array([[*values.values()]]), np.array([seconds])
         )
+    if not table.is_file and (levels or campaign.system) and cause[0] >= 0:
+        # There NaN may be what was simulated; code that compares, such as `g <= 0`, calls it safe.
+        given |= {name: values[name] for name in margins if name in table.columns}
     answer: object
     if name is None:
         if not (levels or campaign.system):
@@ -456,7 +466,8 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         truncated = tuple(getattr(campaign.settings.simulator, "truncated", ()))
         result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system, ("",), truncated, expressions)
     except UnusableAnswerError as error:
-        raise InputError(f"{table.places[row]}: {error}.") from None
+        way = '; if there is no result, its outcome is "numerical_failure"' * isinstance(error, NotFiniteError)
+        raise InputError(f"{table.places[row]}: {error}{way}.") from None
     is_failure = cause[0] in getattr(campaign.simulator, "failing", ()) and result.outcome[0] == len(outcomes) - 1
     if cause[0] < 0 and not is_failure:
         rule = f"must be empty beside the outcome {outcomes[result.outcome[0]]}, which it contradicts"

@@ -116,7 +116,7 @@ def read_answer(
     if nan and not is_decided and not (outcome_name == outcomes[-1] and {*nan} <= {*truncated}):
         raise NotFiniteError(
             f"margins.{nan[0]}: must be a number beside the outcome {outcome_name}, got nan; leave it out where it is "
-            "undefined"
+            "undefined, or name it in simulator.truncated if failure leaves it undefined"
         )
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),

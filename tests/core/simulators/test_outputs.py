@@ -207,6 +207,8 @@ def test_tables_have_outputs_and_the_margins_follow(tmp_path: Path) -> None:
             run.tell(designs.assign(g=1.0))
         with pytest.raises(InputError, match="row 0: the answer must have the output limit"):
             run.tell(answered(designs)[:1].drop(columns="limit"))
+        with pytest.raises(InputError, match=r'row 0: .*nan.*; if there is no result, its outcome is "numerical_fail'):
+            run.tell(answered(designs)[:1].assign(limit=np.nan))
         assert run.tell(answered(designs)) == 4
         run.tell(answered(run.ask(2)))
         told = run.simulations
