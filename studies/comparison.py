@@ -23,6 +23,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import read_settings
 from activefail.estimates.scores import log_score, probability_of_truth
+from activefail.execution.local import ThreadExecutor
 from activefail.learning.model.threads import one_thread
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
@@ -44,6 +45,12 @@ class FreshSet(NamedTuple):
     around: np.ndarray
 
 
+def simulated(campaign, X):
+    """The results of designs; those of a simulation that raises are a numerical failure."""
+    with ThreadExecutor(1) as executor:
+        return executor.run(campaign.simulator, X)
+
+
 def fresh_set(campaign, n):
     """Fresh designs of a campaign that have an outcome."""
     space, seed = campaign.space, campaign.settings.seed
@@ -51,7 +58,7 @@ def fresh_set(campaign, n):
     unit = np.repeat(space.to_unit(X), NEIGHBOURS, axis=0)
     unit = np.abs(unit + DISPLACEMENT * stream(seed, "test", 1).standard_normal(unit.shape))
     copies = space.from_unit(1.0 - np.abs(1.0 - unit))  # reflected at the bounds
-    outcome, around = (campaign.simulator.run(designs).outcome for designs in (X, copies))
+    outcome, around = (simulated(campaign, designs).outcome for designs in (X, copies))
     answered = outcome != NUMERICAL_FAILURE
     return FreshSet(X[answered], outcome[answered], around.reshape(n, -1)[answered])
 
@@ -125,7 +132,7 @@ def scored(file, case, test):
     campaign = campaign_of(file, case)
     if case.sampling == STATIC:
         X = campaign.space.latin_hypercube(case.size, stream(case.seed, "static", case.size))
-        history, sizes = History.of_sample(X, campaign.simulator.run(X)), [case.size]
+        history, sizes = History.of_sample(X, simulated(campaign, X)), [case.size]
     else:
         history, sizes = in_memory(campaign).history, checkpoints(campaign.settings.sampling)
     with one_thread():
@@ -136,9 +143,9 @@ def scored(file, case, test):
 def curves_of(rows):
     """For each pair of features and sampling: sizes in order, (n,), and by measure the values of each seed, (n, s)."""
     values = {}
-    for row in rows:
-        of_size = values.setdefault((row["features"], row["sampling"]), {}).setdefault(row["simulations"], {})
-        for name, value in row["measures"].items():
+    for case, (n, found) in ((row, score) for row in rows for score in row["scores"]):
+        of_size = values.setdefault((case["features"], case["sampling"]), {}).setdefault(n, {})
+        for name, value in found.items():
             of_size.setdefault(name, []).append(np.nan if value is None else value)
     return {
         key: (np.array(sorted(sizes)), {name: np.array([sizes[n][name] for n in sorted(sizes)]) for name in measured})
@@ -207,6 +214,8 @@ def main():
     )
     file = Path(options.file[0])
     settings = read_settings(file)
+    if reason := settings.refused.get("compare"):
+        raise SystemExit(f"{file} cannot be compared: {reason}.")
     sampling, own = settings.sampling, settings.classifier.features
     criteria = options.criteria or [str(settings.acquisition.criterion)]
     features = options.features or [own if isinstance(own, str) else CUSTOM]
@@ -220,8 +229,8 @@ def main():
     if lacking:
         test = fresh_set(campaign_of(file), options.test)
         for case, scores in parallel(scored, [(file, case, test) for case in lacking], options.processes):
-            for n, found in scores:
-                rows.add(**case._asdict(), simulations=n, measures=found)
+            # One row, so that an interrupted study has all of a case or none.
+            rows.add(**case._asdict(), scores=scores)
 
     curves = curves_of([row for case in cases for row in rows.of(**case._asdict())])
     names = list(next(iter(curves.values()))[1])

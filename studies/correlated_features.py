@@ -21,7 +21,7 @@ from study import asked, head, line
 from activefail.learning.features import FeatureMap, feature_map
 from activefail.learning.model.latent import VariationalGP
 from activefail.learning.model.margin import MarginLatent, fit_margin
-from activefail.space.distributions import BOUNDED
+from activefail.space.distributions import FAMILIES
 from activefail.space.parameter import Parameter
 from activefail.space.space import DesignSpace
 
@@ -75,7 +75,7 @@ def features_of(name, space):
 
 
 def drawn(space, n, rng):
-    widened = np.where([p.distribution in BOUNDED for p in space.parameters], 1.0, 1.7)
+    widened = np.where([FAMILIES[p.distribution].is_bounded for p in space.parameters], 1.0, 1.7)
     return space.from_normal(ndtri(qmc.LatinHypercube(space.dimension, rng=rng).random(n)) * widened)
 
 

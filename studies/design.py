@@ -269,7 +269,7 @@ def designs(study, site, target, number, options):
 
 
 def nearest(levels, P):
-    """Median and dispersion of the lognormal curve nearest to a curve, by least squares, as `activefail fragility`."""
+    """Median and dispersion of the lognormal curve nearest to a curve, by least squares."""
     (median, dispersion), _ = curve_fit(
         lambda x, m, s: ndtr((x - m) / s), np.log(levels), P, p0=(np.log(levels[P.searchsorted(0.5) - 1]), 0.4)
     )

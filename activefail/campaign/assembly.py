@@ -120,7 +120,7 @@ class Campaign:
                 if one not in settings.used:
                     one.check_unused(name)
             simulator, sources = _simulator(settings, space, code, run)
-            _check_names(space, simulator)
+            _check_names(space, simulator, sections.margins_in(settings.simulator, simulator.margins))
         for boundary in settings.acquisition.boundaries:
             if boundary not in simulator.outcomes[1:]:
                 raise InputError(
@@ -231,13 +231,13 @@ class Campaign:
         Args:
             severity: number of the least severe outcome beyond the boundary.
             outcome: (n,) of the simulations.
-            margins: (n, k) as the simulator reported them.
+            margins: (n, k) of the simulations, as recorded.
         """
         custom = self.settings.simulator
         if isinstance(custom, str):
             return margins
-        names = self.simulator.margins
-        related = np.asarray(margins - self.levels[severity - 1])
+        names = self.margins
+        related = np.asarray(margins[:, : len(names)] - self.levels[severity - 1])
         ended = outcome == len(self.simulator.outcomes) - 1
         for name in custom.truncated:
             related[ended, names.index(name)] = np.nan
@@ -250,14 +250,19 @@ class Campaign:
         return None if isinstance(custom, str) else custom.modes
 
     @property
+    def margins(self) -> tuple[str, ...]:
+        """The margins: the first columns of `simulator.margins`, before the outputs in their expressions."""
+        return sections.margins_in(self.settings.simulator, self.simulator.margins)
+
+    @property
     def learnable(self) -> tuple[str, ...]:
         """What a boundary can be learned from, as `margin_choice.Choice` counts: each margin, or the system."""
-        return self.simulator.margins if self.system is None else (self.system.text,)
+        return self.margins if self.system is None else (self.system.text,)
 
     @property
     def levels(self) -> Array:
         """The value at or below which each margin is beyond each boundary, (boundaries, k)."""
-        boundaries, names = range(len(self.simulator.outcomes) - 1), self.simulator.margins
+        boundaries, names = range(len(self.simulator.outcomes) - 1), self.margins
         custom = self.settings.simulator
         known = {} if isinstance(custom, str) else custom.levels
         return np.array([[known[name][i] if name in known else 0.0 for name in names] for i in boundaries])
@@ -270,7 +275,7 @@ class Campaign:
             return found
         for severity in range(1, len(simulator.outcomes)):
             # With more than two outcomes, only stated levels tell a side.
-            stated = [name in custom.levels or len(simulator.outcomes) == 2 for name in simulator.margins]
+            stated = [name in custom.levels or len(simulator.outcomes) == 2 for name in self.margins]
             margins = self.margins_at(severity, results.outcome, results.margins)[:, stated]
             margins = margins if self.system is None else self.system(margins)[:, None]
             is_beyond = results.outcome[:, None] >= severity
@@ -320,13 +325,14 @@ def _simulator(
     spec = settings.simulator
     if isinstance(spec, str):
         return settings.named[spec].simulator(space), {}
-    returns = tuple(spec.outcomes), tuple(spec.margins)
+    returns = tuple(spec.outcomes), spec.columns
     lost: dict[str, Any] = {
         "failing": spec.causes_that_mean("failure"),
         "impossible": spec.causes_that_mean("impossible"),
     }
     lost["causes"] = ("", *spec.causes)
     decides = lost | {"levels": spec.levels_of_number, "system": spec.modes, "truncated": tuple(spec.truncated)}
+    decides["expressions"] = spec.expressions
     match spec:
         case sections.PythonSimulatorSettings():
             function = PythonSimulator(space, spec.python, code, *returns, folder=run, renew=spec.renew, **decides)
@@ -374,7 +380,7 @@ def _learner_references(settings: CampaignSettings) -> dict[str, str]:
     return {key: one.python for key, one in custom.items() if isinstance(one, sections.PythonSettings)}
 
 
-def _check_names(space: DesignSpace, simulator: Simulator) -> None:
+def _check_names(space: DesignSpace, simulator: Simulator, margins: tuple[str, ...]) -> None:
     """Check that every name of a campaign has one meaning: tables have one column of a name."""
     predicted, former = predicted_columns(simulator.outcomes), [f"former_{name}" for name in simulator.margins]
     columns = (*_COLUMNS, "former_outcome", "former_cause", *former)
@@ -384,7 +390,9 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
     named += [(name, f"space.{one.name}.features.{name}") for one in space.parameters for name, _ in one.features]
     for name, key in (*named, *((name, "simulator.margins") for name in simulator.margins)):
         if name in meanings:
-            raise InputError(f"{key}: {name!r} is already the name of {meanings[name]}; rename it.")
+            is_output = name in simulator.margins and name not in margins
+            way = "expressions take outputs: return it under another name" if is_output else "rename it"
+            raise InputError(f"{key}: {name!r} is already the name of {meanings[name]}; {way}.")
         meanings[name] = f"the quantity {key}"
     for name in simulator.outcomes:
         if name in _COUNTED:
@@ -394,7 +402,8 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
 def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
     """Check that what boundaries are learned from exists, and that the stop rule's boundary is a target."""
     learns, custom = settings.classifier.learns, settings.simulator
-    margins = simulator.margins if isinstance(custom, str) or custom.system is None else ("system",)
+    margins = sections.margins_in(custom, simulator.margins)
+    margins = margins if isinstance(custom, str) or custom.system is None else ("system",)
     if learns not in ("auto", "outcomes", *margins):
         known = ", ".join(("auto", "outcomes", *margins))
         raise InputError(f"classifier.learns: must be one of {known}, got {learns!r}.")

@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError, naming
-from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
+from activefail.simulators.interface import (
+    EXECUTION_CAUSES,
+    NUMERICAL_FAILURE,
+    NotFiniteError,
+    Results,
+    UnusableAnswerError,
+    settled,
+)
 from activefail.simulators.returned import read_answer
+from activefail.space.expressions import Expression, outputs_of
 from activefail.space.space import Array, DesignSpace
 from activefail.text.csv_table import Table, may_be
 
@@ -353,7 +361,7 @@ def _require(table: Table, names: Sequence[str]) -> None:
 
 def _require_result(campaign: Campaign, table: Table) -> None:
     """Check that a table has the outcome, or the only margin, if that decides it."""
-    deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) or campaign.system else ())]
+    deciding = [_OUTCOME, *(_returned(campaign) if _levels(campaign) or campaign.system else ())]
     if not set(deciding) & set(table.columns):
         names = " or ".join(map(repr, deciding))
         close = [(name, column) for name in deciding for column in table.columns if may_be(name, column)]
@@ -367,6 +375,16 @@ def _require_result(campaign: Campaign, table: Table) -> None:
 def _levels(campaign: Campaign) -> tuple[float, ...]:
     custom = campaign.settings.simulator
     return custom.levels_of_number if isinstance(custom, sections.OutcomeSettings) else ()
+
+
+def _expressions(campaign: Campaign) -> dict[str, Expression]:
+    custom = campaign.settings.simulator
+    return {} if isinstance(custom, str) else custom.expressions
+
+
+def _returned(campaign: Campaign) -> tuple[str, ...]:
+    """The numbers that a simulation returns: the outputs in the margins' expressions, or the margins."""
+    return outputs_of(_expressions(campaign)) or campaign.simulator.margins
 
 
 def _whole(table: Table, row: int) -> int:
@@ -414,9 +432,10 @@ def _joined(campaign: Campaign, parts: Sequence[Results]) -> Results:
 
 
 def _result(campaign: Campaign, table: Table, row: int) -> Results:
-    outcomes, margins = campaign.simulator.outcomes, campaign.simulator.margins
-    values = {name: table.number(row, name) for name in margins}
-    given = {name: value for name, value in values.items() if table.cell(row, name) is not None}
+    outcomes, margins = campaign.simulator.outcomes, _returned(campaign)
+    levels, expressions = _levels(campaign), _expressions(campaign)
+    values = {name: table.number(row, name) for name in campaign.simulator.margins}
+    given = {name: values[name] for name in margins if table.cell(row, name) is not None}
     seconds = 0.0 if table.cell(row, _SECONDS) is None else table.number(row, _SECONDS)
     if not 0.0 <= seconds < math.inf:
         raise table.broken(row, _SECONDS, "`0 <= seconds < inf` must hold", seconds)
@@ -426,24 +445,29 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         name = next((one for one in known if one.casefold() == name.casefold()), name)
     cause = np.array([_cause(campaign, table, row)], dtype=np.int8)
     if isinstance(name, str) and name == "numerical_failure":
-        row_of_margins = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
-        return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, row_of_margins, np.array([seconds]))
-    answer: object = {"outcome": name, "margins": given}
+        return Results(
+            np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, np.array([[*values.values()]]), np.array([seconds])
+        )
+    if not table.is_file and (levels or campaign.system) and cause[0] >= 0:
+        # There NaN may be what was simulated; code that compares, such as `g <= 0`, calls it safe.
+        given |= {name: values[name] for name in margins if name in table.columns}
+    answer: object
     if name is None:
-        levels = _levels(campaign)
         if not (levels or campaign.system):
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
-        answer = given if campaign.system else values[margins[0]]
+        answer = given if campaign.system or expressions else values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
         rule = f'must be one of {", ".join(known)} (or a WORD of --map "{outcomes[-1]}=WORD")'
         raise table.broken(row, _OUTCOME, rule, name)
     else:
+        answer = {"outcome": name} | (given if expressions else {"margins": given})
         levels = ()
     try:
         truncated = tuple(getattr(campaign.settings.simulator, "truncated", ()))
-        result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system, truncated=truncated)
+        result = read_answer(answer, outcomes, margins, levels, seconds, campaign.system, ("",), truncated, expressions)
     except UnusableAnswerError as error:
-        raise InputError(f"{table.places[row]}: {error}.") from None
+        way = '; if there is no result, its outcome is "numerical_failure"' * isinstance(error, NotFiniteError)
+        raise InputError(f"{table.places[row]}: {error}{way}.") from None
     is_failure = cause[0] in getattr(campaign.simulator, "failing", ()) and result.outcome[0] == len(outcomes) - 1
     if cause[0] < 0 and not is_failure:
         rule = f"must be empty beside the outcome {outcomes[result.outcome[0]]}, which it contradicts"

@@ -11,6 +11,7 @@ from activefail.campaign.variables import AnyVariable, FixedVariable
 from activefail.learning.names import FEATURE_SETS, Criterion, Kernel
 from activefail.plugins import brought
 from activefail.simulators.interface import EXECUTION_CAUSES, ExecutionCause
+from activefail.space.expressions import Expression, outputs_of, parse_expression
 from activefail.space.parameter import LARGEST
 from activefail.space.systems import System, parse_system
 
@@ -47,7 +48,8 @@ class OutcomeSettings(Section):
 
     Attributes:
         outcomes: two or three names, the least severe first.
-        margins: names of the numbers that it returns besides the outcome.
+        margins: names of the numbers that it returns besides the outcome; or, by name, [expressions of its
+            outputs](../guide.md#margins-of-outputs), such as a drift.
         causes: names of what may decide an outcome, such as a mechanism; an answer or a result may name one. Without
             names, causes of answers are ignored.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
@@ -62,7 +64,11 @@ class OutcomeSettings(Section):
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
-    margins: list[str] = Field([], max_length=100)
+    margins: Annotated[
+        Annotated[list[str], Field(max_length=100), Tag(f"{WITH}names")]
+        | Annotated[dict[str, str], Field(max_length=100), Tag(f"{WITH}expressions")],
+        Discriminator(lambda value: f"{WITH}expressions" if isinstance(value, dict) else f"{WITH}names"),
+    ] = Field([])
     causes: list[str] = Field([], max_length=100)
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
@@ -84,16 +90,32 @@ class OutcomeSettings(Section):
 
     @field_validator("outcomes", "margins", "causes")
     @classmethod
-    def _are_names(cls, names: list[str], info: ValidationInfo) -> list[str]:
+    def _are_names(cls, names: list[str] | dict[str, str], info: ValidationInfo) -> list[str] | dict[str, str]:
         reserved = {"numerical_failure", *(EXECUTION_CAUSES.values() if info.field_name == "causes" else ())}
         for name in names:
             if not name.isidentifier():
                 raise ValueError(f"must be identifiers, got {name!r}")
-            if names.count(name) > 1:
+            if list(names).count(name) > 1:
                 raise ValueError(f"must differ from each other, got {name!r} twice")
             if name in reserved:
                 raise ValueError(f"{name!r} is reserved for simulations without an outcome")
         return names
+
+    @field_validator("margins")
+    @classmethod
+    def _are_expressions(cls, margins: list[str] | dict[str, str]) -> list[str] | dict[str, str]:
+        expressions: dict[str, Expression] = {}
+        for name, text in margins.items() if isinstance(margins, dict) else ():
+            try:
+                expressions[name] = parse_expression(text, None)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            if not expressions[name].names:
+                raise ValueError(f"{name}: must contain an output of the simulator, got {text!r}")
+        for name, one in expressions.items():
+            if name in outputs_of(expressions) and one.text.strip() != name:
+                raise ValueError(f"{name}: must have another name than the output {name!r}, got {one.text!r}")
+        return margins
 
     @field_validator("outcomes")
     @classmethod
@@ -108,6 +130,11 @@ class OutcomeSettings(Section):
         outcomes = info.data.get("outcomes", [])[1:]
         for name, values in levels.items():
             _check_margin(name, info)
+            if len(outcomes) == 1 and isinstance(margins := info.data.get("margins"), dict):
+                raise ValueError(
+                    f"{name}: cannot be combined with its expression {margins[name]!r}, which is at most 0 at "
+                    f"{outcomes[0]}; got {values}"
+                )
             if outcomes and len(values) != len(outcomes):
                 raise ValueError(f"{name}: must have a level for each of {', '.join(outcomes)}, got {values}")
             if not all(abs(value) <= LARGEST for value in values):  # false for NaN too
@@ -127,7 +154,7 @@ class OutcomeSettings(Section):
     @classmethod
     def _is_a_system(cls, text: str | None, info: ValidationInfo) -> str | None:
         if text is not None and (margins := info.data.get("margins")) is not None:
-            parse_system(text, margins)
+            parse_system(text, list(margins))
             if len(info.data.get("outcomes", "ab")) > 2:
                 raise ValueError("requires two outcomes: a system fails or does not")
             for other in ("levels", "truncated"):
@@ -148,7 +175,18 @@ class OutcomeSettings(Section):
     @property
     def modes(self) -> System | None:
         """The system of the margins; None if each stands for itself."""
-        return None if self.system is None else parse_system(self.system, self.margins)
+        return None if self.system is None else parse_system(self.system, list(self.margins))
+
+    @property
+    def expressions(self) -> dict[str, Expression]:
+        """The expressions of the simulator's outputs, by margin; none if it returns the margins."""
+        given = self.margins if isinstance(self.margins, dict) else {}
+        return {name: parse_expression(text, None) for name, text in given.items()}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What is recorded of a simulation: the margins, and the outputs in their expressions that are none."""
+        return tuple(dict.fromkeys((*self.margins, *outputs_of(self.expressions))))
 
     @property
     def levels_of_number(self) -> tuple[float, ...]:
@@ -156,7 +194,14 @@ class OutcomeSettings(Section):
         if len(self.margins) != 1:
             return ()
         default = [0.0] if len(self.outcomes) == 2 else []
-        return tuple(self.levels.get(self.margins[0], default))
+        return tuple(self.levels.get(next(iter(self.margins)), default))
+
+
+def margins_in(simulator: str | OutcomeSettings, columns: tuple[str, ...]) -> tuple[str, ...]:
+    """The margins among the columns of a record, without the outputs in their expressions."""
+    if isinstance(simulator, str) or isinstance(simulator.margins, list):
+        return columns
+    return tuple(simulator.margins)
 
 
 def _check_margin(name: str, info: ValidationInfo) -> None:
@@ -209,7 +254,8 @@ class CommandSimulatorSettings(CustomSimulatorSettings):
         template: input files with variables in braces, in the folder of the campaign file. Each is written to the run's
             folder with the values, under its name without `.in`.
         copy: files and folders, in the folder of the campaign file, that are copied to the run's folder.
-        pattern: regular expression with one group. Its last match in `output` is the answer, the only margin.
+        pattern: regular expression with one group. Its last match in `output` is the answer, the only margin or output;
+            or, by output, one for each.
         output: file in the run's folder that the pattern is searched in.
         cores: cores of one simulation; the program's OMP_NUM_THREADS, and as many fewer simulations at a time.
         retries: how often a failed simulation is repeated.
@@ -220,7 +266,13 @@ class CommandSimulatorSettings(CustomSimulatorSettings):
     command: str = Field(min_length=1)
     template: _Paths = Field([])
     copied: _Paths = Field([], alias="copy")
-    pattern: str | None = None
+    pattern: (
+        Annotated[
+            Annotated[str, Tag(NAME)] | Annotated[dict[str, str], Tag(f"{WITH}patterns")],
+            Discriminator(name_or(f"{WITH}patterns")),
+        ]
+        | None
+    ) = None
     output: str = "stdout.txt"
     cores: int = Field(1, ge=1, le=10_000)
     retries: int = Field(0, ge=0, le=100)
@@ -229,19 +281,30 @@ class CommandSimulatorSettings(CustomSimulatorSettings):
 
     @field_validator("pattern")
     @classmethod
-    def _has_one_group(cls, pattern: str | None) -> str | None:
-        try:
-            groups = 1 if pattern is None else re.compile(pattern).groups
-        except re.error as error:
-            raise ValueError(f"must be a regular expression, but {error}, got {pattern!r}") from None
-        if groups != 1:
-            raise ValueError(f"must have one group in brackets, for the number, got {pattern!r}")
+    def _has_one_group(cls, pattern: str | dict[str, str] | None) -> str | dict[str, str] | None:
+        for one in pattern.values() if isinstance(pattern, dict) else [pattern] if pattern is not None else []:
+            try:
+                groups = re.compile(one).groups
+            except re.error as error:
+                raise ValueError(f"must be a regular expression, but {error}, got {one!r}") from None
+            if groups != 1:
+                raise ValueError(f"must have one group in brackets, for the number, got {one!r}")
         return pattern
 
     @model_validator(mode="after")
     def _answers_by_number(self) -> Self:
-        if self.pattern is not None and not self.levels_of_number:
-            raise ValueError("pattern: requires one margin, and two outcomes or stated levels")
+        outputs = outputs_of(self.expressions)
+        if self.pattern is not None and not (self.levels_of_number or (outputs and self.system)):
+            raise ValueError(
+                "pattern: requires one margin, and two outcomes or stated levels; or expressions and a system"
+            )
+        if isinstance(self.pattern, dict) and {*self.pattern} != {*outputs}:
+            known = ", ".join(outputs) or "none"
+            raise ValueError(
+                f"pattern: must name the outputs in simulator.margins ({known}), got {', '.join(self.pattern)}"
+            )
+        if isinstance(self.pattern, str) and len(outputs) > 1:
+            raise ValueError(f"pattern: must be a table with a pattern for each of {', '.join(outputs)}")
         return self
 
 

@@ -13,6 +13,8 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.campaign.sections import OutcomeSettings
+    from activefail.simulators.interface import Results
 
 
 def check(campaign: CampaignFile, as_json: AsJson = False) -> None:
@@ -77,13 +79,18 @@ def _understood(campaign: "Campaign") -> Iterator[tuple[str, str]]:
                 )
         case _:
             yield "simulator", getattr(simulator, "title", "elsewhere; nothing is simulated here")
+    custom = campaign.settings.simulator
+    for name, text in (
+        custom.margins.items() if not isinstance(custom, str) and isinstance(custom.margins, dict) else ()
+    ):
+        yield "margin", f"{name} = {text}"
     boundaries = ", ".join(campaign.settings.acquisition.boundaries)
     yield "outcomes", f"{', '.join(simulator.outcomes)}; sought is the boundary of {boundaries}"
     if campaign.system is not None:
         yield "margins", f"{campaign.system.text} <= 0 at {simulator.outcomes[-1]}"
-    elif simulator.margins and not isinstance(campaign.settings.simulator, str):
+    elif simulator.margins and not isinstance(custom, str):
         for place, outcome in enumerate(simulator.outcomes[1:]):
-            rules = zip(simulator.margins, campaign.levels[place].tolist(), strict=True)
+            rules = zip(campaign.margins, campaign.levels[place].tolist(), strict=True)
             yield "margins", f"{', '.join(f'{name} <= {level:g}' for name, level in rules)} at {outcome}"
 
 
@@ -99,9 +106,10 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     from activefail.simulators.command import CommandSimulator
     from activefail.simulators.repeats import IF_DIFFERENT, differences, in_words
 
-    simulator, space = campaign.simulator, campaign.space
+    simulator, space, custom = campaign.simulator, campaign.space, campaign.settings.simulator
     X = space.from_unit(np.full((1, space.dimension), 0.5))
-    X = X if space.contains(X).all() else space.random(1, np.random.default_rng(0))
+    is_median = bool(space.contains(X).all())
+    X = X if is_median else space.random(1, np.random.default_rng(0))
     values = {name: column.item() for name, column in space.columns(X).items()}
     yield "design", ", ".join(f"{name} = {value!r}" for name, value in values.items())
     if isinstance(simulator, CommandSimulator):
@@ -116,16 +124,34 @@ def _simulated(campaign: "Campaign") -> Iterator[tuple[str, str]]:
     yield from first.items()
     if campaign.contradicts(results[0])[0]:
         yield "warning", f"the outcome {first['outcome']} contradicts all margins; a margin at its level or below fails"
+    elif not isinstance(custom, str) and (custom.levels_of_number or custom.system) and is_median:
+        yield from (("warning", text) for text in _turned(campaign, custom, results[0]))
     seconds = max(float(one.seconds[0]) for one in results)
     budget = campaign.settings.sampling.budget
     yield (
         "time",
         f"{seconds:.3g} s; {budget} simulations, the budget, take {seconds * budget:.3g} s one by one",
     )
-    custom = campaign.settings.simulator
     if not (text := differences(simulator, results[0], results[1])):
         yield "agrees", "a second simulation of the design has the same result"
     elif isinstance(custom, str) or custom.repeatable is None:
         raise SimulationError(f"The same design has two results: {text}. {IF_DIFFERENT}")
     else:
         yield "differs", f"{text}; the file states simulator.repeatable"
+
+
+def _turned(campaign: "Campaign", custom: "OutcomeSettings", result: "Results") -> Iterator[str]:
+    """Where the design at the medians fails, which is rare: the margins that say so, and how to turn each."""
+    severity, several = campaign.severity, len(campaign.simulator.outcomes) > 2
+    levels = campaign.levels[severity - 1].tolist()
+    for name, level, margin in zip(campaign.margins, levels, result.margins[0].tolist(), strict=False):
+        if result.outcome[0] < severity or not margin <= level:
+            continue
+        text = f"-{name}" if several or not level else f"{level:g} - {name}"
+        turned = f'margins = {{ {name}_margin = "{text}" }}'
+        if isinstance(custom.margins, dict):
+            turned = f'margins.{name} = "-({custom.margins[name]})"'
+        yield (
+            f"the design at the medians of the variables fails: {name} = {margin:.6g} is at most {level:g}. If it is "
+            f"safe, turn the margin round: {turned}{', with the negative levels' * several}"
+        )

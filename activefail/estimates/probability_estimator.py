@@ -325,7 +325,7 @@ class Estimator:
         """What the m simulations of a sample say of the modes of the campaign's system."""
         latent, system, plan = self.classifier.latents[0], self.campaign.system, sampled.plan
         assert system is not None
-        margins = np.where(sampled.answered[:, None], results.margins, np.nan)
+        margins = np.where(sampled.answered[:, None], results.margins[:, : len(system.names)], np.nan)
         if not isinstance(latent, SystemLatent):
             return counted_modes(system, plan, margins)
         rng = self._stream("modes", question)

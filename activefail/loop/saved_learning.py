@@ -28,7 +28,7 @@ def code_state(campaign: Campaign) -> dict[str, NDArray[Any]]:
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     """The margins that a campaign's classifier may learn from; None if it learns from outcomes alone."""
-    names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
+    names, learns = campaign.margins, campaign.settings.classifier.learns
     if learns == "outcomes" or not names or campaign.settings.classifier.is_custom:
         return None
     if campaign.system is not None:

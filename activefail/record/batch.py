@@ -81,7 +81,7 @@ class Schema:
         variables: names of the columns of the designs.
         outcomes: names of the outcomes 0, 1, ...; NUMERICAL_FAILURE is an additional code.
         causes: names of the causes 0, 1, ...; EXECUTION_CAUSES are additional codes.
-        margins: names of the columns of the margins.
+        margins: names of the columns of the margins, and of the outputs in their expressions.
 
     Raises:
         ValueError: if an attribute is not a tuple of strings.

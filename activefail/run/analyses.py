@@ -205,7 +205,7 @@ def fragility(
         return calculation.fragility(estimator, asked, ladder, outcome, verify, confidence, stage)
 
 
-_FREE = f"Variables to design, separated by commas; by default {brought('defaults').get('free', 'none')}."
+_FREE = f"Variables to design, separated by commas; by default {' or '.join(brought('free')) or 'none'}."
 
 
 def _names(text: str) -> list[str]:
@@ -344,7 +344,7 @@ def compare(
     ),
     test_designs: int = option(2000, "Number of fresh test designs.", low=10, high=1_000_000, names=("--test",)),
     static: "Sequence[int]" = option((), "Sizes of the static designs; the budgets by default.", str, parse=_sizes),
-    hypercubes: int = option(1, "Number of static designs of each size.", low=1, names=("--seeds",)),
+    hypercubes: int = option(1, "Number of static designs of each size.", low=1, high=100, names=("--seeds",)),
     *,
     executor: "Executor | None" = None,
     stage: Stage = silent,

@@ -75,10 +75,12 @@ def tell(
     Args:
         table: a DataFrame, a dictionary of columns, a list of dictionaries, one row as a dictionary or a Series,
             or a CSV file (its path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's
-            margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
-            have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
-            has levels, the outcome may be left out. Other columns are labels, which `simulations` has too. Rows without
-            outcome and margins are ignored in a CSV file, and refused elsewhere: NaN may be a simulation's result.
+            margins (empty where undefined) or the outputs in their expressions, and optionally `cause`, `seconds` and
+            the variables, which must not have changed. The outcome "numerical_failure" is that of a simulation without
+            a result. Where one margin has levels, the outcome may be left out. Other columns are labels, which
+            `simulations` has too. Rows without outcome and margins are ignored in a CSV file, and refused elsewhere,
+            for NaN may be a simulation's result; so is NaN beside an outcome that the margin decides, unless
+            `simulator.truncated` names it.
         correct: whether the table corrects recorded results; it must then hold no others.
         changed: whether the variables in the table are what was simulated, where they differ from the design that was
             handed out, as after rounding. They must lie in the design space.

@@ -14,9 +14,11 @@ FEATURES = {
 SIMULATORS = {"dfp": "activefail.seismic.settings:BearingSettings"}
 """The double friction pendulum bearing, by its settings (`activefail.campaign.named.NamedSettings`)."""
 
-DEFAULTS = {"simulator": "dfp", "features": "paper", "free": "D_tot", "chart": ("T_b", "mu")}
-"""The simulator of a campaign file that names none, and its features; what a design makes small if it names nothing;
-the first variables of its chart."""
+DEFAULTS = {"simulator": "dfp", "features": "paper"}
+"""The simulator of a campaign file that names none, and its features."""
+
+FREE = {"D_tot": ("T_b", "mu")}
+"""What a design makes small if it names nothing, with the first variables of its chart."""
 
 SETS = {"motions": "activefail.seismic.motions.motions:Motions"}
 """The ground motions of a variable with a set of records."""

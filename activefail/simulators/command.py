@@ -32,6 +32,7 @@ from activefail.simulators.placeholders import (
 )
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import COMMAND_KEY, not_permitted
+from activefail.space.expressions import Expression
 from activefail.space.parameter import exact
 from activefail.space.space import Array, DesignSpace
 from activefail.text.files import end_of, make_folder
@@ -64,8 +65,8 @@ class CommandSimulator:
     The folder contains `design.json`, with the values of the variables and the fixed quantities, and the program's
     output (`stdout.txt`, `stderr.txt`). The command runs without a shell. In it, `{name}` is replaced by a value,
     `{here}` by the folder of the user's code, and `{out}` by the file to which the program writes its answer: a JSON
-    object with "outcome" and, optionally, "margins" and "cause". The environment has the same: AF_HERE, AF_OUT, and
-    AF_<name>.
+    object with "outcome" and, optionally, "margins" and "cause", or with the outputs in `expressions`. The environment
+    has the same: AF_HERE, AF_OUT, and AF_<name>.
 
     The value of a variable with a set of records, such as `record`, is the path of a text file in the folder, with an
     acceleration [m/s²] in each line; `record_dt` is its interval [s], and `record_name` the name of the record.
@@ -79,10 +80,11 @@ class CommandSimulator:
         retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
-        levels, system, truncated: of the margins (see `read_answer`).
+        levels, system, truncated, expressions: of the margins (see `read_answer`); the outputs follow the margins.
         templates: input files, filled in and written to the folder under their names without `.in`.
         copies: files and folders that are copied to the folder. Both are relative to `here`.
-        pattern: regular expression with one group, whose last match in `output` is the answer; None reads `{out}`.
+        pattern: regular expression with one group, whose last match in `output` is the answer, or one by output; None
+            reads `{out}`.
         output: a file in the folder.
         cores: of one simulation.
         repeatable: whether a design has one folder; otherwise another run has its own, with a number.
@@ -100,12 +102,13 @@ class CommandSimulator:
     levels: tuple[float, ...] = ()
     system: Callable[[Array], Array] | None = None
     truncated: tuple[str, ...] = ()
+    expressions: Mapping[str, Expression] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
     causes: tuple[str, ...] = ("",)
     templates: tuple[str, ...] = ()
     copies: tuple[str, ...] = ()
-    pattern: str | None = None
+    pattern: str | Mapping[str, str] | None = None
     output: str = "stdout.txt"
     cores: int = 1
     repeatable: bool = True
@@ -299,7 +302,7 @@ class CommandSimulator:
         except UnusableAnswerError as error:
             raise UnusableAnswerError(f"{error}{said}") from None
         names = self.outcomes, self.margins, self.levels
-        return read_answer(answer, *names, seconds, self.system, self.causes, self.truncated)
+        return read_answer(answer, *names, seconds, self.system, self.causes, self.truncated, self.expressions)
 
     def _answer(self, folder: Path, out: Path) -> object:
         """What the program wrote.
@@ -307,8 +310,10 @@ class CommandSimulator:
         Raises:
             UnusableAnswerError: if it is no answer.
         """
-        if self.pattern is not None:
+        if isinstance(self.pattern, str):
             return _matched(self.pattern, folder / self.output)
+        if self.pattern is not None:
+            return {name: _matched(pattern, folder / self.output) for name, pattern in self.pattern.items()}
         # The program may link to a file of its results.
         written = _read(out, LARGEST_ANSWER, "; its path is {out} in the command, or $AF_OUT in the environment")
         try:

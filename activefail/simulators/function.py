@@ -2,7 +2,7 @@
 
 import inspect
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,6 +11,7 @@ from activefail.errors import ActivefailError, InputError, description_of
 from activefail.simulators.interface import Results
 from activefail.simulators.returned import designs_by_name, objects_in, read_answer, read_objects
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function, not_permitted
+from activefail.space.expressions import Expression
 from activefail.space.space import Array, DesignSpace
 from activefail.visible import visible
 
@@ -22,7 +23,8 @@ class PythonSimulator:
     It takes a dictionary with the values of the variables and the fixed quantities. The value of a variable with a set
     is the record, scaled (`activefail.SetRecord`). It returns the name of the outcome, or a
     dictionary with "outcome" and, optionally, "margins", a dictionary of numbers, and "cause"; or the only
-    margin, if it has levels. If it raises, only that simulation fails.
+    margin, if it has levels; or the outputs in `expressions`, with "outcome" and "cause" or without. If it raises, only
+    that simulation fails.
 
     Attributes:
         space: design space.
@@ -32,7 +34,7 @@ class PythonSimulator:
         source: digest required of its module, on any machine; "" accepts any (see `load_function`).
         folder: the run folder, from which no code is run.
         renew: most simulations per process; None means no limit.
-        levels, system, truncated: of the margins (see `read_answer`).
+        levels, system, truncated, expressions: of the margins (see `read_answer`); the outputs follow the margins.
     """
 
     space: DesignSpace
@@ -46,6 +48,7 @@ class PythonSimulator:
     levels: tuple[float, ...] = ()
     system: Callable[[Array], Array] | None = None
     truncated: tuple[str, ...] = ()
+    expressions: Mapping[str, Expression] | None = None
     failing: tuple[int, ...] = ()
     impossible: tuple[int, ...] = ()
     causes: tuple[str, ...] = ("",)
@@ -91,7 +94,8 @@ class PythonSimulator:
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
             seconds = time.perf_counter() - began
             names = self.outcomes, self.margins, self.levels
-            answers.append(read_answer(answer, *names, seconds, self.system, self.causes, self.truncated))
+            result = read_answer(answer, *names, seconds, self.system, self.causes, self.truncated, self.expressions)
+            answers.append(result)
         return Results.concatenate(answers)
 
 

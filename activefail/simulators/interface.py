@@ -139,7 +139,7 @@ class Simulator(Protocol):
 
     @property
     def margins(self) -> tuple[str, ...]:
-        """Names of the margins; may be empty."""
+        """Names of the margins, and then of the outputs in their expressions; may be empty."""
         ...
 
     @property

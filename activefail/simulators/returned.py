@@ -1,6 +1,7 @@
 """Input and output of a custom simulator: one design as a dictionary, and its result."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from decimal import Decimal
 from enum import Enum
 from numbers import Real
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from activefail.simulators.interface import NotFiniteError, Results, UnusableAnswerError
+from activefail.space.expressions import Expression, outputs_of, parsed_name
 from activefail.space.space import Array, DesignSpace
 from activefail.visible import margin_in_words
 
@@ -47,6 +49,7 @@ def read_answer(
     system: Callable[[Array], Array] | None = None,
     causes: tuple[str, ...] = ("",),
     truncated: tuple[str, ...] = (),
+    expressions: Mapping[str, Expression] | None = None,
 ) -> Results:
     """The result of one design, from what a custom simulator returned.
 
@@ -55,7 +58,8 @@ def read_answer(
 
     Args:
         answer: the outcome, a table with "outcome", "margins" and "cause", the only margin as a number, or the margins
-            of a system by name.
+            of a system by name. With `expressions`, a table of the outputs, with "outcome" and "cause"; or the only
+            output, as a number.
         outcomes, margins: names that it may contain.
         levels: values of the only margin at or below which each outcome but the first occurs; empty if a number is no
             answer.
@@ -63,11 +67,20 @@ def read_answer(
         system: margins, (k,) -> the system's, at most 0 where it fails, NaN if they do not say; None without a system.
         causes: names that it may contain; the first is none. If it is the only one, causes are ignored.
         truncated: margins that may be NaN at the most severe outcome.
+        expressions: of the outputs, by margin; none if the margins are returned.
+
+    Returns:
+        The result, with the outputs that are no margins behind the margins.
 
     Raises:
         NotFiniteError: if a margin is NaN, or infinite without an outcome.
         UnusableAnswerError: if the answer breaks another rule.
     """
+    if expressions:
+        given, outputs = _of_outputs(answer, outcomes, levels, system, expressions)
+        result = read_answer(given, outcomes, tuple(expressions), (), seconds, system, causes, truncated)
+        kept = [outputs.get(name, np.nan) for name in outputs_of(expressions) if name not in expressions]
+        return replace(result, margins=np.hstack([result.margins, np.reshape(kept, (1, -1))]))
     if isinstance(answer, str | Enum):
         answer = {"outcome": answer}
     elif levels and not isinstance(answer, Mapping):
@@ -103,7 +116,7 @@ def read_answer(
     if nan and not is_decided and not (outcome_name == outcomes[-1] and {*nan} <= {*truncated}):
         raise NotFiniteError(
             f"margins.{nan[0]}: must be a number beside the outcome {outcome_name}, got nan; leave it out where it is "
-            "undefined"
+            "undefined, or name it in simulator.truncated if failure leaves it undefined"
         )
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
@@ -111,6 +124,50 @@ def read_answer(
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
     )
+
+
+def _of_outputs(
+    answer: object,
+    outcomes: tuple[str, ...],
+    levels: tuple[float, ...],
+    system: Callable[[Array], Array] | None,
+    expressions: Mapping[str, Expression],
+) -> tuple[dict[str, object], dict[str, float]]:
+    """The outcome, the cause and the margins in an answer that is outputs, and the outputs.
+
+    A margin is undefined where one of its outputs is left out. Others than the expressions' outputs are ignored.
+
+    Raises:
+        NotFiniteError: if margins that are NaN or infinite leave the outcome open.
+        UnusableAnswerError: if an output is no number, or left out although it decides the outcome.
+    """
+    names = outputs_of(expressions)
+    if isinstance(answer, str | Enum):
+        answer = {"outcome": answer}
+    elif not isinstance(answer, Mapping):
+        if len(names) > 1:
+            raise UnusableAnswerError(f"the answer must be a dictionary with {', '.join(names)}, got {answer!r}")
+        answer = {names[0]: answer}
+    named = {parsed_name(str(name)): value for name, value in answer.items()}
+    outputs = {name: _number(name, named[name]) for name in names if name in named}
+    with np.errstate(all="ignore"):  # what is not finite has its own error
+        margins = {name: float(one(outputs)) for name, one in expressions.items() if one.names <= outputs.keys()}
+    said: dict[str, object] = {name: named[name] for name in ("outcome", "cause") if name in named}
+    if "outcome" in said:
+        return said | {"margins": margins}, outputs
+    if not (levels or system):
+        raise UnusableAnswerError(
+            f"the answer must have `outcome` ({', '.join(outcomes)}), since neither one margin decides nor a system; "
+            "state simulator.system, or levels of one margin"
+        )
+    values = [margins.get(name, np.nan) for name in expressions]
+    missing = [name for name in names if name not in outputs]
+    if missing and (system is None or np.isnan(system(np.array(values)))):
+        raise UnusableAnswerError(
+            f"the answer must have the output {missing[0]}, as simulator.margins says; it has {', '.join(named)}"
+        )
+    decided = _of_system(margins, outcomes, (*expressions,), system) if system else None
+    return said | (decided or _of_limit_state(values[0], outcomes, next(iter(expressions)), levels)), outputs
 
 
 def _ways(outcomes: tuple[str, ...]) -> str:
@@ -130,7 +187,7 @@ def _values(given: object, margins: tuple[str, ...]) -> list[float]:
             raise UnusableAnswerError(
                 f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
             )
-    return [_number(name, given.get(name, np.nan)) for name in margins]
+    return [_number(f"margins.{name}", given.get(name, np.nan)) for name in margins]
 
 
 def _of_system(
@@ -163,7 +220,7 @@ def _of_limit_state(
     number = _one_number(answer)
     if number is None:
         raise UnusableAnswerError(f"{_ways(outcomes)}, or {margin_in_words(margin)} as one number, got {answer!r}")
-    value = _number(margin, number)
+    value = _number(f"margins.{margin}", number)
     if not np.isfinite(value):
         raise NotFiniteError(f"{margin_in_words(margin)} is {value}; without an outcome it must be a finite number")
     return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
@@ -189,18 +246,18 @@ def _one_number(value: object) -> Any:
 
 
 def _number(name: str, value: object) -> float:
-    """A margin as float64. NaN and infinity are values; a finite number must not become one.
+    """A margin or an output as float64. NaN and infinity are values; a finite number must not become one.
 
     Raises:
         UnusableAnswerError: if it is not one real number, or too large.
     """
     given = _one_number(value)
     if given is None:
-        raise UnusableAnswerError(f"margins.{name}: must be one number, left out where it is undefined, got {value!r}")
+        raise UnusableAnswerError(f"{name}: must be one number, left out where it is undefined, got {value!r}")
     try:
         number = float(given)
     except OverflowError:  # an integer
         number = np.inf
     if np.isinf(number) and given not in (np.inf, -np.inf):
-        raise UnusableAnswerError(f"margins.{name}: must fit a float64, at most 1.8e308 in size, got a larger number")
+        raise UnusableAnswerError(f"{name}: must fit a float64, at most 1.8e308 in size, got a larger number")
     return number

@@ -6,7 +6,7 @@ import re
 import sys
 import unicodedata
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,15 +42,20 @@ class Expression:
 
     text: str
     _tree: ast.expr
+    _constants: Mapping[str, float] = field(default_factory=lambda: CONSTANTS)
 
     @property
     def names(self) -> frozenset[str]:
         """The names of quantities that it contains, as Python's parser normalises them."""
-        return frozenset(node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)) - {*CONSTANTS}
+        nodes = [*ast.walk(self._tree)]
+        called = [node.func for node in nodes if isinstance(node, ast.Call)]
+        named = (node.id for node in nodes if isinstance(node, ast.Name) and node not in called)
+        return frozenset(named) - {*self._constants}
 
     def __call__(self, quantities: Mapping[str, Any]) -> Any:
         """The value for numbers or arrays."""
-        return _value(self._tree, {**CONSTANTS, **{parsed_name(name): value for name, value in quantities.items()}})
+        named = {parsed_name(name): value for name, value in quantities.items()}
+        return _value(self._tree, {**self._constants, **named})
 
 
 def parsed_name(name: str) -> str:
@@ -63,8 +68,12 @@ def _number(value: float) -> Any:
     return np.float64(value)
 
 
-def parse_expression(text: str, known: Collection[str]) -> Expression:
+def parse_expression(text: str, known: Collection[str] | None) -> Expression:
     """An expression of numbers, `+ - * / **`, FUNCTIONS, CONSTANTS and known names.
+
+    Args:
+        text: the expression.
+        known: names of quantities; None if every name is one, also those of CONSTANTS.
 
     Raises:
         ValueError: naming the part that is none of these.
@@ -83,6 +92,9 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
         depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
     if depth > _DEEPEST:
         raise ValueError(f"must have at most {_DEEPEST} levels of nesting, got {depth}; in {text!r}")
+    if known is None:
+        _check(tree, text, None)
+        return Expression(text, tree, {})
     names: dict[str, str] = {}
     for name in known:
         other = names.setdefault(parsed_name(name), name)
@@ -90,6 +102,11 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
             raise ValueError(f"cannot distinguish {other!a} from {name!a}, the same name in Python; rename one")
     _check(tree, text, {*names, *CONSTANTS})
     return Expression(text, tree)
+
+
+def outputs_of(expressions: Mapping[str, Expression]) -> tuple[str, ...]:
+    """The outputs of a simulator that expressions of them, by margin, contain."""
+    return tuple(dict.fromkeys(name for one in expressions.values() for name in sorted(one.names)))
 
 
 def check_no_texts(expression: Expression, texts: Collection[str]) -> None:
@@ -135,7 +152,7 @@ def parse_constraint(
     return Constraint(text, frozenset(carriers.get(name, name) for name in names), left, right, "=" not in relations[0])
 
 
-def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
+def _check(node: ast.expr, text: str, known: Collection[str] | None) -> None:
     match node:
         case ast.Constant(value=bool()):
             pass
@@ -144,7 +161,7 @@ def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
                 raise ValueError(f"may contain numbers up to {sys.float_info.max:g}; in {text!r}")
             return
         case ast.Name(id=name):
-            if name not in known:
+            if known is not None and name not in known:
                 raise ValueError(f"unknown name {name!r}; known names are {', '.join(sorted(known))}; in {text!r}")
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:

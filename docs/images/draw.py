@@ -15,4 +15,5 @@ for name, bearing, pulse in (
     ("surviving", surviving, Pulse(4.44, 0.178 * GRAVITY)),
 ):
     drawn = stills(simulate_one(bearing, pulse, to_the_end=True), f"A {name} bearing")
-    (HERE / f"{name}.svg").write_text(drawn)
+    # Pages may be dark; the lines are not.
+    (HERE / f"{name}.svg").write_text(drawn.replace("<svg ", '<svg style="background: white" ', 1))

@@ -18,7 +18,10 @@ z = { value = 3.0 }
 FUNCTIONS = {
     "design['x'] - 0.3": (0, ["outcome    safe", "g          0.2", "agrees     "]),
     "{'outcome': 'failure', 'margins': {'g': 0.2}}": (0, ["warning    the outcome failure contradicts all margins"]),
-    "{'outcome': 'failure', 'margins': {'g': -0.2}}": (0, ["outcome    failure\ng          -0.2\ntime "]),
+    "{'outcome': 'failure', 'margins': {'g': -0.2}}": (
+        0,
+        ["outcome    failure\ng          -0.2\nwarning    the design at the"],
+    ),
     "'failure'": (0, ["outcome    failure", "g          undefined", "agrees     "]),
     "random.random()": (1, ["The same design has two results: g 0.", "with a fixed random seed"]),
     "random.choice([print('noise'), 1 / 0])": (
@@ -45,6 +48,54 @@ def test_a_function_is_simulated_twice_and_its_answer_shown(tmp_path: Path, retu
         assert text in done.out + done.err
     assert "noise" not in done.out
     assert sorted(path.name for path in tmp_path.glob("*")) == ["mine.toml", "model.py"]
+
+
+WRONG_WAY_ROUND = {
+    # A utilisation of 0.5 in the middle of the space.
+    'margins = ["u"], levels = { u = [1.0] }': ("u = 0.5 is at most 1.", 'margins = { u_margin = "1 - u" }'),
+    'margins = { g = "u - 1" }': ("g = -0.5 is at most 0.", 'margins.g = "-(u - 1)"'),
+    'margins = { g = "u - 1", h = "2 - u" }, system = "min(g, h)"': ("g = -0.5 is at", 'margins.g = "-(u - 1)"'),
+    'margins = ["u"], outcomes = ["a", "b", "c"], levels = { u = [2.0, 1.0] }': (
+        "u = 0.5 is at most 1.",
+        'margins = { u_margin = "-u" }, with the negative levels',
+    ),
+}
+
+
+@pytest.mark.parametrize("margins", WRONG_WAY_ROUND)
+def test_a_margin_by_which_the_design_at_the_medians_fails_is_warned_of(tmp_path: Path, margins: str) -> None:
+    (tmp_path / "model.py").write_text("def run(design):\n    return design['x']\n")
+    (tmp_path / "mine.toml").write_text(f'simulator = {{ python = "model:run", {margins} }}\n{SPACE}')
+    done = activefail("check", tmp_path / "mine.toml")
+    (warning,) = (line for line in done.out.splitlines() if line.startswith("warning"))
+    which, turned = WRONG_WAY_ROUND[margins]
+    assert f"the design at the medians of the variables fails: {which}" in warning
+    assert warning.endswith(f"If it is safe, turn the margin round: {turned}")
+
+
+RIGHT_WAY_ROUND = (
+    'margins = { g = "1 - u" }',
+    'margins = ["u"]',
+    'margins = { g = "1 - u" }, outcomes = ["a", "b", "c"], levels = { g = [0.6, 0.2] }',
+)
+
+
+@pytest.mark.parametrize("margins", RIGHT_WAY_ROUND)
+def test_a_safe_design_at_the_medians_is_not_warned_of(tmp_path: Path, margins: str) -> None:
+    (tmp_path / "model.py").write_text("def run(design):\n    return design['x']\n")
+    (tmp_path / "mine.toml").write_text(f'simulator = {{ python = "model:run", {margins} }}\n{SPACE}')
+    done = activefail("check", tmp_path / "mine.toml")
+    assert (done.code, "warning" in done.out) == (0, False), done
+
+
+def test_a_design_that_fails_by_its_outcome_alone_or_at_no_medians_is_not_warned_of(tmp_path: Path) -> None:
+    (tmp_path / "model.py").write_text("def run(design):\n    return 'failure' if design['x'] < 0.9 else -1.0\n")
+    for constraint in ("", 'constraints = ["x >= 0.95"]\n'):
+        (tmp_path / "mine.toml").write_text(
+            f'{constraint}simulator = {{ python = "model:run", margins = ["g"] }}\n{SPACE}'
+        )
+        done = activefail("check", tmp_path / "mine.toml")
+        assert (done.code, "outcome    failure" in done.out, "warning" in done.out) == (0, True, False), done
 
 
 @pytest.mark.parametrize("command", ["echo g = {x} {y}", "sh -c 'echo g = {x} $AF_y'", "sh {here}/model.sh"])

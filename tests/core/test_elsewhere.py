@@ -238,6 +238,35 @@ def test_a_row_of_python_without_a_result_is_refused_with_both_ways_to_mean_it(l
         assert run.tell(run.in_flight.assign(outcome="numerical_failure")) == 2
 
 
+@pytest.mark.parametrize("given", ["DataFrame", "dictionary", "added"])
+def test_a_margin_that_is_nan_beside_an_outcome_in_a_table_of_python_is_refused(lab: Path, given: str) -> None:
+    def outcome(g: float) -> str:
+        return "failure" if g <= 0 else "safe"  # of NaN it says "safe"
+
+    with af.create_run(lab.with_name("run"), lab) as run:
+        designs = run.ask(3).assign(g=[np.nan, 1.0, -1.0])
+        rows = designs.assign(outcome=designs["g"].map(outcome))
+        record = {"DataFrame": run.tell, "dictionary": lambda table: run.tell(table.to_dict("list")), "added": run.add}
+        rows = rows.drop(columns="id").assign(load=[1.5, 2.5, 3.5]) if given == "added" else rows
+        with pytest.raises(InputError) as caught:
+            record[given](rows)
+        assert str(caught.value).startswith("row 0: margins.g: must be a number beside the outcome safe, got nan")
+        assert str(caught.value).endswith('if there is no result, its outcome is "numerical_failure".')
+        assert len(run.history) == 0
+        rows.loc[0, "outcome"] = "numerical_failure"
+        assert record[given](rows) == 3
+
+
+def test_a_failure_may_leave_a_margin_undefined_in_a_table_of_python_if_the_campaign_says_so(lab: Path) -> None:
+    lab.write_text(LAB.replace('margins = ["g"]', 'margins = ["g"], truncated = ["g"], lost = "failure"'))
+    with af.create_run(lab.with_name("run"), lab) as run:
+        rows = run.ask(4).assign(g=[np.nan, 1.0, np.nan, -1.0], outcome=["failure", "safe", "failure", "failure"])
+        assert run.tell(rows.assign(cause=["", "", "time_limit", ""])) == 4
+        with af.create_run(lab.with_name("other"), lab) as other:
+            assert other.add(run.simulations) == 4
+            assert other.simulations["g"].equals(run.simulations["g"])
+
+
 @pytest.mark.parametrize("outcome", ["", "safe"])
 def test_the_text_nan_in_a_file_is_no_margin(lab: Path, tmp_path: Path, outcome: str) -> None:
     with af.create_run(lab.with_name("run"), lab) as run:

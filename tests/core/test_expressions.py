@@ -97,6 +97,13 @@ def test_numbers_alone_end_in_what_is_not_finite_too(text: str, value: float) ->
         assert parse_expression(text, {})({}) == pytest.approx(value, nan_ok=True)
 
 
+def test_the_names_in_an_expression_are_its_quantities_and_without_known_ones_all_are() -> None:
+    assert parse_expression("log(A_p) * pi + g * T_p", VALUES).names == {"A_p", "T_p"}
+    every = parse_expression("abs(g) + pi - log", None)
+    assert every.names == {"g", "pi", "log"}
+    assert every({"g": -2.0, "pi": 1.0, "log": 5.0}) == -2.0
+
+
 @pytest.mark.parametrize("name", ["\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}"])
 @pytest.mark.parametrize("requested", ["\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}"])
 def test_a_letter_that_has_two_codes_names_the_quantity_by_either(name: str, requested: str) -> None:

@@ -161,6 +161,25 @@ def test_the_function_of_the_readme_is_called_by_a_script_beside_it(tmp_path: Pa
     assert low < np.mean(fails) < high
 
 
+def test_the_outputs_of_the_guide_have_the_margins_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (campaign,) = (text for text in blocks("docs/guide.md", "toml") if '"frame:outputs"' in text)
+    (source,) = (text for text in blocks("docs/guide.md", "python") if "def outputs(design)" in text)
+    (patterns,) = (text for text in blocks("docs/guide.md", "toml") if "pattern = {" in text)
+    (tmp_path / "frame.py").write_text(source, encoding="utf-8")
+    prints = "command = \"printf 'step,drift\\\\n1,0.5\\\\n2,0.03\\\\nutilisation = 9\\\\nutilisation = 0.7'\"\n"
+    space = "[space]\nx = { low = 0, high = 1 }\n"
+    for simulator, margins in {
+        campaign: {"stiffness": 1 - 0.013 / 0.02, "strength": 1 - 0.84, "thickness": 5.2 - 4.0, "beam": 0.7},
+        f"[simulator]\n{prints}{patterns}": {"reserve": 1 - 0.03 / 0.02, "beam": 0.7, "drift": 0.03},
+    }.items():
+        (tmp_path / "guide.toml").write_text(f"{simulator}\n{space}", encoding="utf-8")
+        done = activefail("check", "guide.toml")
+        assert done.code == 0, done
+        said = dict(line.split(None, 1) for line in done.out.splitlines())
+        assert {name: float(said[name]) for name in margins} == pytest.approx(margins)
+
+
 @pytest.mark.parametrize("page", ["README.md", "docs/guide.md"])
 def test_the_loops_of_the_pages_end_also_where_a_margin_is_nan(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -256,8 +256,7 @@ def _number(text: str) -> float:
 
 def default_free(space: DesignSpace) -> tuple[str, ...]:
     """The variable that is made as small as possible if none is named; none if the campaign lacks it."""
-    name = brought("defaults").get("free", "")
-    return (name,) if name in space.names else ()
+    return tuple(name for name in brought("free") if name in space.names)[:1]
 
 
 def design_task(

@@ -66,7 +66,7 @@ def chart_of(
     space, fixed = estimator.campaign.space, {**task.question.fixed, **held}
     ordered = {one.name: one for one in space.parameters if not one.choices}
     certain = [name for name in ordered if name in fixed and name != task.free[0]]
-    first = brought("defaults").get("chart", ())
+    first = brought("free").get(task.free[0], ())
     names = sorted(certain, key=lambda name: (*(name != one for one in first), name not in task.free))
     if len(names) < 2 or task.free[0] not in ordered:
         return None

@@ -12,6 +12,7 @@ from typing import Any
 from activefail.analyses.findings.learned_from import LearnedFrom, candidate_of, saved_choices, source_in_words
 from activefail.analyses.findings.summary import Summary, features_in_words, where_lost
 from activefail.campaign.known_code import known_code
+from activefail.campaign.sections import margins_in
 from activefail.campaign.settings import read_settings
 from activefail.estimates.confidence_bounds import unseen_outcomes
 from activefail.estimates.scores import CurvePoint, fits, last_error, learning_curve, verified_in_words
@@ -223,7 +224,7 @@ class Status:
 def learnable_of(simulator: Any, margins: tuple[str, ...]) -> tuple[str, ...]:
     """What a boundary of a campaign can be learned from, as `Campaign.learnable`, by its settings."""
     system = getattr(simulator, "system", None)
-    return margins if system is None else (system,)
+    return margins_in(simulator, margins) if system is None else (system,)
 
 
 def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:

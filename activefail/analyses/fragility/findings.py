@@ -32,7 +32,10 @@ CAPACITIES = (0.025, 0.10, 0.50)
 NO_RATES = "the hazard has no curve of annual rates"
 """Why there is no risk, which the hazard's assumptions say too."""
 
-_UNEQUAL, _NOT_FINITE = "the values are not alike in probability, or too few fail", "one is of the capacities of values"
+_UNEQUAL, _NOT_FINITE = (
+    "the values are not alike in probability, or too few fail",
+    "one is fitted to the capacities of finitely many values, with --wrong",
+)
 """Why there is no lognormal curve."""
 
 _OF_RISK = {"least": "least_pgv_m_s", "at_least": "at_least_pgv"}

@@ -173,6 +173,48 @@ BROKEN = [
         'simulator = { command = "a", pattern = "(x)" }',
         "simulator: pattern: requires one margin, and two outcomes or stated levels",
     ),
+    ('simulator = { python = "a:b", margins = "g" }', "simulator.margins: must be a valid list, got 'g'"),
+    ('simulator = { python = "a:b", margins = { g = 1 } }', "simulator.margins.g: must be a valid string, got 1"),
+    (
+        'simulator = { python = "a:b", margins = { g = "1 -" } }',
+        "simulator.margins: g: must be an arithmetic expression, got '1 -'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = { g = "fail(u)" } }',
+        "simulator.margins: g: may contain numbers, names, + - * / **",
+    ),
+    (
+        'simulator = { python = "a:b", margins = { g = "1 - 0.5" } }',
+        "simulator.margins: g: must contain an output of the simulator, got '1 - 0.5'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = { u = "1 - u" } }',
+        "simulator.margins: u: must have another name than the output 'u', got '1 - u'",
+    ),
+    (
+        'simulator = { python = "a:b", margins = { g = "1 - u" }, levels = { g = [0.1] } }',
+        "simulator.levels: g: cannot be combined with its expression '1 - u', which is at most 0 at failure; got [0.1]",
+    ),
+    (
+        'simulator = { python = "a:b", margins = { g = "1 - u" }, system = "min(g, u)" }',
+        "simulator.system: must name margins among g, got 'u'",
+    ),
+    (
+        'simulator = { command = "a", margins = { g = "1 - u - v" }, pattern = "(.)" }',
+        "simulator: pattern: must be a table with a pattern for each of u, v",
+    ),
+    (
+        'simulator = { command = "a", margins = { g = "1 - u - v" }, pattern = { u = "(.)", w = "(.)" } }',
+        "simulator: pattern: must name the outputs in simulator.margins (u, v), got u, w",
+    ),
+    (
+        'simulator = { command = "a", margins = ["g"], pattern = { g = "(.)" } }',
+        "simulator: pattern: must name the outputs in simulator.margins (none), got g",
+    ),
+    (
+        'simulator = { command = "a", margins = { g = "1 - u - v" }, pattern = { u = "(.)", v = "." } }',
+        "simulator.pattern: must have one group in brackets, for the number, got '.'",
+    ),
     ('simulator = { python = "a:b", copy = "x" }', "simulator.copy: belongs to `command`"),
     ('simulator = { command = "a {out}", time_limit = 0.0 }', "simulator.time_limit: must be greater than 0"),
     ('seed = "one"', "seed: must be"),
