@@ -138,7 +138,7 @@ class _Loop:
                 rate = (progress.done - done_at_start) / max(time.monotonic() - start, 1e-9)
                 progress = replace(progress, seconds_left=(self.budget - progress.done) / rate if rate else None)
             observer.progress(progress)
-            self.check(progress)
+            self.check(progress, learned)
             ended, stopped = ended or progress.stop_rule, observer.stop()
             while free > 0 and not ended and not stopped:
                 if handed.can_learn(campaign):
@@ -199,8 +199,10 @@ class _Loop:
         how = how_met(self.campaign, history, looks, is_small) if self.use_stop_rule else ""
         return replace(progress, error=error, stop_rule=how)
 
-    def check(self, progress: Progress) -> None:
+    def check(self, progress: Progress, learned: Learned | None) -> None:
         """Check that not all, and not too many, simulations failed numerically.
+
+        Near failure many solvers give up: up to half of the simulations may fail among others that failed.
 
         Raises:
             SimulationError: if they did.
@@ -218,15 +220,18 @@ class _Loop:
         # Those before the first outcome are forgiven when the campaign resumes.
         forgiven = self.before.leading_failures
         done, failures = progress.done - forgiven, progress.numerical_failures - forgiven
-        if done >= _LEAST_FOR_RATE and failures > self.failure_limit * done:
+        is_above = done >= _LEAST_FOR_RATE and failures > self.failure_limit * done
+        excused = min(learned.classifier.expected_losses, done // 2) if is_above and learned is not None else 0
+        if is_above and failures - excused > self.failure_limit * done:
             advice = (
                 f". Fix the simulator, then `{self.resume_command}` continues."
                 if failures == done
                 else f"; `{self.resume_command} --numerical-failures SHARE` allows more."
             )
             raise SimulationError(
-                f"{failures} of {done} simulations failed numerically, more than the share of "
-                f"{self.failure_limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops "
+                f"{failures} of {done} simulations failed numerically, {excused} of them excused by others near them: more "
+                f"than the share of {self.failure_limit:g} that limits.numerical_failures allows. simulator.lost says what "
+                "such a run means, near failure often failure itself. They are recorded; the campaign stops "
                 f"here. `activefail export` shows their causes{advice}" + first_fault_text(self.observer.faults)
             )
 

@@ -11,7 +11,7 @@ from activefail.plugins import brought
 from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, check_output
 from activefail.run.analysis import REQUIRED, Option, analysis, option
 from activefail.session.arguments import names_of
-from activefail.session.session import Session, boundary_named, check_initial_design, estimating, executor_of, recording
+from activefail.session.session import Session, boundary_named, check_can_be_asked, estimating, executor_of, recording
 from activefail.text.files import check_file, path_of, writing_to
 from activefail.text.progress import Begin, Stage, silent, uncounted
 
@@ -431,6 +431,6 @@ def asking_stripes(run: Session, at_once: int, executor: "Executor | None", stag
     """
     from activefail.analyses.stripes.stripe import Stripes
 
-    check_initial_design(run)
+    check_can_be_asked(run)
     with executor_of(run, executor) as pool, recording(run), one_thread():
         yield Stripes(run.campaign, run.store, pool, lambda: run.learn(stage).classifier, at_once, stage)

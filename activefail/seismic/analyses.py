@@ -8,7 +8,7 @@ from activefail.run.analyses import EXECUTOR, FIXED, SCHEDULER, WORKERS
 from activefail.run.analysis import REQUIRED, Option, analysis, option
 from activefail.seismic.motions.measures import INTENSITIES
 from activefail.session.arguments import executor_named
-from activefail.session.session import Session, check_initial_design, local_executor
+from activefail.session.session import Session, check_can_be_asked, local_executor
 from activefail.text.files import path_of
 from activefail.text.progress import Begin, Stage, silent, uncounted
 
@@ -165,7 +165,7 @@ def ida(
         name, campaign = its_run.folder.name, its_run.campaign
         if not its_run.writes:
             raise InputError("run: must be open for writing, because the simulations join its record.")
-        check_initial_design(its_run)
+        check_can_be_asked(its_run)
         of_others = {"simulator": simulator, "vertical": vertical, "model": model, "tolerance": tolerance}
         for given in (one for one, value in of_others.items() if value):
             raise InputError(f"{given}: cannot be combined with --campaign without --pulses.")

@@ -92,12 +92,13 @@ class Session:
         return self.settings.classifier.learns != "outcomes" and bool(self.campaign.simulator.margins)
 
     @property
-    def has_initial_design(self) -> bool:
-        """Whether every design of the initial design was simulated or dropped.
+    def can_be_asked(self) -> bool:
+        """Whether enough is known for estimates: the initial design, or as many given simulations with an outcome.
 
-        Given simulations of the same designs are no sample of the design space: they may have been chosen.
+        Given simulations are no sample of the design space, as they may have been chosen: no bound rests on them.
         """
-        return bool(self.history.initial.any()) and is_past_initial_design(self)
+        has_initial_design = bool(self.history.initial.any()) and is_past_initial_design(self)
+        return has_initial_design or int(self.history.answered.sum()) >= self.settings.sampling.initial
 
     @property
     def classifier(self) -> "Classifier":
@@ -181,13 +182,13 @@ def is_past_initial_design(run: Session) -> bool:
     return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(run.campaign)))
 
 
-def check_initial_design(run: Session) -> None:
+def check_can_be_asked(run: Session) -> None:
     """Check that fresh simulations can be weighed by what was learned.
 
     Raises:
-        InputError: if the initial design is not finished.
+        InputError: if too few simulations are known (see `Session.can_be_asked`).
     """
-    if not run.has_initial_design:
+    if not run.can_be_asked:
         raise InputError(f"{run.folder}: has not finished its initial design; there is nothing to estimate yet.")
 
 
@@ -281,7 +282,7 @@ def estimating(
     """
     from activefail.estimates.probability_estimator import Estimator
 
-    check_initial_design(run)
+    check_can_be_asked(run)
     with executor_of(run, executor) if simulates else nullcontext(executor) as pool, one_thread():
         learned, kept = run.learn(stage), list[str]()
 

@@ -925,7 +925,7 @@ def test_results_come_through_a_pipe_from_another_process(folder: Path) -> None:
     assert said.stdout.startswith("1 new result")
 
 
-def test_simulations_that_were_given_are_no_initial_design_to_verify(tmp_path: Path) -> None:
+def test_given_simulations_can_be_learned_from_and_asked_but_are_no_sample(tmp_path: Path) -> None:
     settings = {
         "simulator": {"python": "plate:run"},
         "space": {"x": {"low": 0.0, "high": 1.0}, "y": {"low": 0.0, "high": 1.0}},
@@ -936,10 +936,13 @@ def test_simulations_that_were_given_are_no_initial_design_to_verify(tmp_path: P
         earlier.take(10, progress=False, workers=1)
         export = earlier.simulations
     with af.create_run(tmp_path / "run", settings, code=tmp_path) as run:
-        assert run.add(export) == 10
-        assert not run.has_initial_design
+        assert run.add(export.iloc[:9]) == 9
         with pytest.raises(InputError, match="has not finished its initial design"):
             run.verify(10)
+        assert run.add(export.iloc[9:]) == 1
+        assert run.verify(10).estimate.simulations == 10
+        lines = run.probability(simulations=10).lines
+        assert any(line.split(maxsplit=1)[:2][0] == "bound" and "none without a model" in line for line in lines)
         assert run.take(progress=False, workers=1).progress.done == 20
 
 

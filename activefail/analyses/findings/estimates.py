@@ -51,9 +51,14 @@ class Bound(NamedTuple):
 
     @property
     def in_words(self) -> str:
-        """What the bound rests on."""
+        """The bound and what it rests on."""
+        if not self.simulations:
+            return (
+                "none without a model: no simulation of the campaign is one of an initial design, a sample of the space"
+            )
         of = "simulations of the initial design" if self.source == "initial design" else self.source
-        return f"{self.simulations} {of}"
+        high = rounded_up(self.high)
+        return f"at most {high} with 90 % confidence, without a model: from the {self.simulations} {of} alone"
 
 
 def bound_without_model(campaign: Campaign, history: History, outcome: str) -> Bound:
@@ -197,11 +202,7 @@ class ProbabilityFindings:
                 f"{percent(estimate.recall)} of the estimated probability lies where {name} is predicted; at least "
                 f"{percent(estimate.recall_low)} {sure}",
             ),
-            (
-                "bound",
-                f"at most {rounded_up(self.bound.high)} with 90 % confidence, without a model: from the "
-                f"{self.bound.in_words} alone",
-            ),
+            ("bound", self.bound.in_words),
             *(("note", sentence) for sentence in self.assumptions),
         ]
         under = f" under {self.question}" if self.question else ""

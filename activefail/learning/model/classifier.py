@@ -42,6 +42,14 @@ class Classifier:
         """Whether any simulation gave no result."""
         return self.unknown is not None or self.impossible is not None
 
+    @property
+    def expected_losses(self) -> int:
+        """How many simulations gave no result where the others lead one to expect that: near others that gave none."""
+        if self.unknown is None:
+            return 0
+        lost = self.unknown.trained.labels.numpy() > 0.5
+        return int((lost & (self.unknown.left_out().mean > 0.0)).sum())
+
     def answers(self, F: Array) -> Array:
         """Probability of a result at scaled features, (n, m) -> (n,)."""
         lost = [latent.moments(F).probability for latent in (self.unknown, self.impossible) if latent is not None]

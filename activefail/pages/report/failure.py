@@ -39,8 +39,9 @@ def failure_section(findings: Findings, failure: FailureFindings | None, width: 
         "model": model,
         "model_interval": None if math.isnan(low) else " to ".join(ends),
         "asks": bool(findings.campaign.question.digest),
-        "bound": rounded_up(failure.bound),
+        "bound": rounded_up(failure.bound) if findings.history.initial.any() else "",
         "seen": int(failure.seen[-1]),
+        "simulations": len(findings.history),
         "picture": inline(figure, "probability", "Probability against simulations"),
         "point": _point(findings, failure, width),
     }

@@ -133,11 +133,11 @@ def test_a_solver_that_gives_up_before_failure_shows_the_level_where_it_does() -
     lost = reserve(fresh) < gives_up
     # The least margin and the nearest lost run enclose the level, but for a few designs far from all others.
     assert latent.gap > 0.0
-    assert (lost & ~predicted[0.0]).mean() < 0.001
-    assert (predicted[1.0] & ~lost).mean() < 0.001
+    assert (lost & ~predicted[0.0]).mean() < 0.005
+    assert (predicted[1.0] & ~lost).mean() < 0.005
     between = predicted[0.0] & ~predicted[1.0]
     assert 0 < between.sum() < 0.1 * len(fresh)
-    assert (predicted[None] == lost)[~between].mean() > 0.999
+    assert (predicted[None] == lost)[~between].mean() > 0.995
     side = latent.moments(fresh).side[between]
     assert (np.abs(side) < 1.8).all()  # of a uniform distribution no place is more than √3 standard deviations away
 
