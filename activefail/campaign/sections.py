@@ -552,8 +552,8 @@ class Limits(Section):
     """Limits above which a campaign stops with an error.
 
     Attributes:
-        numerical_failures: share of numerical failures among the simulations, from 20 simulations on. Those among others
-            that failed do not count, up to half of all.
+        numerical_failures: share of numerical failures among the simulations, from 20 simulations on. Those among
+            others that failed do not count, up to half of all.
     """
 
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)

@@ -229,9 +229,9 @@ class _Loop:
                 else f"; `{self.resume_command} --numerical-failures SHARE` allows more."
             )
             raise SimulationError(
-                f"{failures} of {done} simulations failed numerically, {excused} of them excused by others near them: more "
-                f"than the share of {self.failure_limit:g} that limits.numerical_failures allows. simulator.lost says what "
-                "such a run means, near failure often failure itself. They are recorded; the campaign stops "
+                f"{failures} of {done} simulations failed numerically, {excused} of them excused by others near them: "
+                f"more than the share of {self.failure_limit:g} that limits.numerical_failures allows. simulator.lost "
+                "says what such a run means, near failure often failure itself. They are recorded; the campaign stops "
                 f"here. `activefail export` shows their causes{advice}" + first_fault_text(self.observer.faults)
             )
 

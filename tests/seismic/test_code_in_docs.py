@@ -224,7 +224,7 @@ def test_the_system_of_the_page_on_probabilities_gives_the_shares_there(
     _, system, _ = blocks("docs/probability.md", "toml")
     Path("frame.py").write_text(limits, encoding="utf-8")
     Path("frame.toml").write_text(system, encoding="utf-8")
-    assert "stop rule  met after 27" in activefail("run", "frame.toml", "--out", "run", "--workers", "1").out
+    assert "stop rule  met after 24" in activefail("run", "frame.toml", "--out", "run", "--workers", "1").out
     said = [
         line for line in activefail("probability", "run", "--code", ".").out.splitlines() if line.startswith("mode ")
     ]
