@@ -1040,8 +1040,9 @@ def test_a_report_of_given_simulations_alone_is_written(lab: Path, tmp_path: Pat
         load, strength = np.random.default_rng(3).uniform([1.0, 2.0], [5.0, 12.0], (20, 2)).T
         assert run.add(pd.DataFrame({"load": load, "strength": strength, "g": strength - 2.0 * load})) == 20
         run.report(tmp_path / "report.html")
-        with pytest.raises(InputError, match="has not finished its initial design"):
+        with pytest.raises(InputError, match=r"Commands with fresh simulations \(verify"):
             run.verify(10)
+    assert "no bound: no simulation is one of an initial design" in (tmp_path / "report.html").read_text()
     assert "given" in (tmp_path / "report.html").read_text()
 
 

@@ -110,9 +110,14 @@ class MarginFit:
         return margin_readout(K, Kx, variance, self.mean, *data.observed(self.nugget), self.jitter)
 
     @cached_property
-    def gap(self) -> float:
-        """How far below the data's level the boundary may lie, of a warped margin (see `MarginData.gap`)."""
-        return self.data.gap(lambda F: self._moments(F)[0])
+    def gap(self) -> tuple[float, float]:
+        """How far below and above the data's level the boundary may lie, of a warped margin (see `MarginData.gap`)."""
+        return self.data.gap(self._moments, lambda F: self._of_exact._moments(F))
+
+    @cached_property
+    def _of_exact(self) -> "MarginFit":
+        exact = self.data.margin > 0.0
+        return _solved_at(self.data.features[exact], self.data.margin[exact], self)
 
     def model(self, threshold: float) -> BoundaryModel:
         """A threshold minus the warped margin, as a BoTorch model: positive beyond the boundary."""
@@ -413,7 +418,8 @@ class MarginLatent:
         trained: the regression.
         level: of the margin at or below which a design is beyond the boundary: several boundaries of one margin share a
             regression.
-        place: where in the gap below the data's level the boundary lies, 0 to 1; None if it is as likely everywhere.
+        place: where in the gap at the data's level the boundary lies, from its upper end, 0 to 1; None if it is as
+            likely everywhere.
     """
 
     trained: MarginFit
@@ -428,13 +434,13 @@ class MarginLatent:
     @property
     def gap(self) -> float:
         """Length of the interval that is known to contain the boundary, of a warped margin; 0 where it is stated."""
-        return 0.0 if self.level else self.trained.gap
+        return 0.0 if self.level else sum(self.trained.gap)
 
     @property
     def threshold(self) -> float:
         """The level in the units of the warped margin; in the middle of the gap if its place is not known."""
         if self.gap:
-            return -self.gap * (0.5 if self.place is None else self.place)
+            return self.trained.gap[1] - self.gap * (0.5 if self.place is None else self.place)
         return float(self.trained.data.warped(np.array(self.level - self.trained.data.level)))
 
     @property

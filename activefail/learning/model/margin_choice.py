@@ -75,15 +75,15 @@ def usable(margin: Array, beyond: NDArray[np.bool_], system: System | None = Non
     return ""
 
 
-def defined(margin: Array) -> tuple[Array, bool, float]:
+def defined(margin: Array, is_levelled: bool = True) -> tuple[Array, bool, float]:
     """The margins with 0 where they are undefined, whether any is, and the level from which they count.
 
     It is 0 if any margin is at most 0. Otherwise the simulations with a margin show the boundary from one side only, as
-    those of a solver that gives up before failure do: then it is just below the least margin.
+    those of a solver that gives up before failure do: then it is just below the least margin. Former versions took 0.
     """
     undefined = np.isnan(margin)
     has_undefined, least = bool(undefined.any()), np.nanmin(margin)
-    level = float(least * (1.0 - _JUST)) if has_undefined and least > 0.0 else 0.0
+    level = float(least * (1.0 - _JUST)) if is_levelled and has_undefined and least > 0.0 else 0.0
     return np.where(undefined, 0.0, margin - level), has_undefined, level
 
 

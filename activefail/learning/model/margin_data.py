@@ -28,6 +28,9 @@ WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] =
 }
 """Each warping of g/q and the logarithm of its derivative."""
 
+Moments = Callable[[Array], tuple[Array, Array]]
+"""Means and standard deviations of points, (n, m) -> (n,) each."""
+
 _CENSORED_SPREAD = 0.01
 """Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
 
@@ -151,15 +154,21 @@ class MarginData:
         top = self.margin.max()
         return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
 
-    def gap(self, mean: Callable[[Array], Array]) -> float:
-        """How far below the level the boundary may lie, in the units of `warped`: the way to the nearest failure.
+    def gap(self, moments: Moments, of_exact: Moments) -> tuple[float, float]:
+        """How far below and above the level the boundary may lie, in the units of `warped`.
+
+        Below, it is the way to the nearest failure. It is above where a failure has a larger margin, by the others
+        alone: then no single level separates.
 
         Args:
-            mean: of the warped margin at scaled features, (l, m) -> (l,).
+            moments: of the warped margin at scaled features, (l, m) -> (l,) each.
+            of_exact: the same from the points with a margin alone.
         """
         if not self.level:
-            return 0.0
-        return float(np.maximum(-mean(self.features[self.margin <= 0.0]), 0.0).min())
+            return 0.0, 0.0
+        failed = self.features[self.margin <= 0.0]
+        below, (mean, sd) = -moments(failed)[0], of_exact(failed)
+        return float(np.maximum(below, 0.0).min()), float(np.maximum(mean - sd, 0.0).max())
 
     def warped(self, margin: Array) -> Array:
         """Margins, (l,), in the units of `moments`."""

@@ -110,6 +110,7 @@ class SavedLatent:
         threshold: the level of the margin in its warped units.
         noise: standard deviation of a margin's noise in these units; 0 if the simulator repeats.
         normality: of this noise (see `margin.MarginFit.normality`).
+        gap: in which the boundary is known to lie (see `margin_data.MarginData.gap`).
     """
 
     prior: SavedPrior
@@ -121,6 +122,7 @@ class SavedLatent:
     threshold: float = 0.0
     noise: float = 0.0
     normality: float = math.nan
+    gap: tuple[float, float] = (0.0, 0.0)
 
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
@@ -136,9 +138,9 @@ class SavedLatent:
         """The latent of the boundary at a level of the margin (see `margin.MarginLatent`)."""
         data = self.margin_data
         assert data is not None
-        gap = 0.0 if level else data.gap(lambda F: in_parts(F, self._moments)[0])
-        if gap:
-            return replace(self, threshold=-0.5 * gap, added=self.added + gap**2 / 12.0)
+        below, above = (0.0, 0.0) if level else self.gap
+        if below + above:
+            return replace(self, threshold=0.5 * (above - below), added=self.added + (below + above) ** 2 / 12.0)
         return replace(self, threshold=float(data.warped(np.array(level - data.level))))
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
@@ -255,7 +257,8 @@ def _of_margin(state: State, name: str, F: Array, margin: Array) -> SavedLatent:
     readout, trend, _ = margin_readout(K, Kx, prior.variances(data.points), prior.mean, *observed, jitter)
     sd = 0.0 if log_noise is None else float(np.sqrt(noise))
     normality = float(state.get(f"{name}/normality", math.nan))
-    return SavedLatent(prior, support, readout, trend, noise, data, noise=sd, normality=normality)
+    below, above = state.get(f"{name}/gap", np.zeros(2)).tolist()
+    return SavedLatent(prior, support, readout, trend, noise, data, noise=sd, normality=normality, gap=(below, above))
 
 
 class Source(NamedTuple):
@@ -303,7 +306,7 @@ def choices_of(state: State, outcomes: Sequence[str], margins: LearnableMargins 
 
 def margin_data_of(state: State, name: str, F: Array, margin: Array) -> MarginData:
     """The data of a regression: its margins, (n,), at scaled features, (n, m), and what a state says of them."""
-    values, _, margin_level = defined(margin)
+    values, _, margin_level = defined(margin, f"{name}/gap" in state)
     truncated, warping = (int(state[f"{name}/{key}"]) for key in ("truncated", "warping"))
     sites = CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"])
     unit, inducing = float(state[f"{name}/unit"]), state.get(f"{name}/inducing")

@@ -48,6 +48,8 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             (linear, precision), inducing = data.sites, data.inducing
             if data.is_clipped:
                 own["clipped"] = 1  # for readers without the margins
+            if data.level:
+                own["gap"] = trained.gap  # for readers without torch
             if trained.noise:
                 own["normality"] = trained.normality  # for readers without torch
         else:

@@ -311,7 +311,7 @@ def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
 
 def test_a_required_capacity_is_one_that_is_made_and_choices_are_a_list(tmp_path):
     site = site_of(sliding(tmp_path / "run", SLIDING.replace("high = 1.0,", "high = 1.0, step = 0.1,")))
-    assert '<option value="1" selected>B</option>' in site.page("/design")
+    assert '<option value="0" selected>A</option>' in site.page("/design")
     P = Shown(site.others["design"], ASKED).curve.P
     target = float(f"{50.0 * (min(P) + max(P)):.6g}")
     shown = Shown(site.others["design"], ASKED | {"target": target})

@@ -341,12 +341,12 @@ def test_a_design_under_pulses_of_a_file_needs_no_value_of_the_variable_that_is_
     (tmp_path / "pulses.csv").write_text("T_p,PGV\n" + rows)
     (tmp_path / "rows.toml").write_text('samples = "pulses.csv"\n[uncertainty]\ntest_data = 0.2\n')
     for option in ("--hazard", "--question"):
-        options = (option, tmp_path / "rows.toml", "--free", "r", "--target", "0.2", "--simulations", "50", "--json")
+        options = (option, tmp_path / "rows.toml", "--free", "r", "--target", "0.2", "--json")
         result = activefail("design", ended / "run", "--code", ended, *options)
         assert result.code == 0, result.err
         assert "was not used" not in result.out
     with open_run(ended / "run", code=ended, write=True) as opened:
-        found = opened.design(0.2, tmp_path / "rows.toml", free="r", simulations=50)
+        found = opened.design(0.2, tmp_path / "rows.toml", free="r")
     # The required r is the 80 % quantile of PGV over the median capacity, with a margin for the verification.
     required = float(np.exp(-0.3 + math.hypot(0.3, 0.2) * ndtri(0.8))) / MEDIAN
     assert 0.9 * required < found.bearing["r"] < 1.6 * required
