@@ -50,7 +50,7 @@ def never(design):
 
 def clipped(design):
     g = min(1.8 - design["x"] + 0.1 * design["y"], 1.0)
-    return {"outcome": "failure" if g <= 0 else "safe", "margins": {"g": g} if g > 0 else {}}
+    return {"outcome": "failure" if g <= 0 else "safe", "margins": {"g": g}}
 """
 
 TRUE = float(ndtr(-3.0 / 1.01**0.5))
