@@ -68,6 +68,10 @@ def test_an_error_that_is_no_exception_is_a_simulation_that_raised(
     survived(1)
 
 
+BELOW = 1.2
+"""Most designs fail below it: of fewer, those among others that failed would be excused."""
+
+
 @pytest.mark.parametrize(
     ("how", "cause", "says"),
     [
@@ -81,7 +85,7 @@ def test_an_error_that_is_no_exception_is_a_simulation_that_raised(
 def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_the_rate_that_was_set(
     how: str, cause: str, says: str, tmp_path: Path
 ) -> None:
-    one = on(Failing(how=how, below=-1.0), 0.1)
+    one = on(Failing(how=how, below=BELOW), 0.1)
     fewer = one.settings.changed({"sampling.initial": 20, "sampling.budget": 24, "validation.size": 0})
     one = Campaign.of(fewer, simulator=one.simulator)
     with (
@@ -97,8 +101,8 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
         X = np.concatenate([batch.designs for batch in store.batches])
         outcome = np.concatenate([batch.results.outcome for batch in store.batches])
         causes = np.concatenate([batch.results.cause for batch in store.batches])
-        assert ((outcome == NUMERICAL_FAILURE) == (X[:, 0] < -1.0)).all()
-        assert {cause_name(Disc.causes, code) for code in causes[X[:, 0] < -1.0].tolist()} == {cause}
+        assert ((outcome == NUMERICAL_FAILURE) == (X[:, 0] < BELOW)).all()
+        assert {cause_name(Disc.causes, code) for code in causes[X[:, 0] < BELOW].tolist()} == {cause}
         # With a higher limit it continues with the record that it has.
         assert run(one, store, executor, 24, failure_limit=0.9)
         assert standing(one, History.of(store.batches), 24).done == 24
